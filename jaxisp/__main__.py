@@ -1,0 +1,5 @@
+"""`python -m jaxisp`."""
+
+from jaxisp.cli import main
+
+raise SystemExit(main())

@@ -1,0 +1,86 @@
+"""Cameras: pipelines from a mosaic to a picture, and developing RAW files with them.
+
+A camera is a recipe with constants. What a RAW file states itself (CFA, as-shot white balance,
+colour matrix) is set from the file when the camera is applied to it.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxisp.errors import InputError
+from jaxisp.io import Raw, orient
+from jaxisp.recipe import Recipe
+from jaxisp.stage import Chain, Node, Stage, run, signature, stage
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+
+WHITE_BALANCE = "mosaic_white_balance"
+COLOR_MATRIX = "color_matrix"
+
+
+def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
+    """A plain camera: white balance, highlights clipped to white, demosaicking, the file's colour
+    matrix, exposure by the 99th percentile of luma, sRGB. No denoising and no sharpening."""
+    nodes = (
+        stage(WHITE_BALANCE),
+        stage("clip"),
+        stage(demosaic),
+        stage(COLOR_MATRIX),
+        stage("auto_level"),
+        stage("srgb_oetf"),
+        stage("rounding"),
+    )
+    chain = Chain(nodes, "standard")
+    meta = {"from_file": [WHITE_BALANCE, COLOR_MATRIX]}
+    return Recipe(chain, chain.init(), "a plain rendering, as a RAW converter starts from", meta)
+
+
+def with_cfa(node: Node, cfa: str) -> Node:
+    """The pipeline with every stage that has a `cfa` option set to that pattern."""
+    if isinstance(node, Stage):
+        options = dict(node.static)
+        if "cfa" not in dict(signature(node.fn).static):
+            return node
+        return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
+    if isinstance(node, Chain):
+        return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))
+    return node  # gates and shuffles hold stages that keep their domain, none of which knows a CFA
+
+
+def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
+    """The camera's parameters, with what the file states itself set from the file."""
+    params = dict(camera.prior)
+    from_file = camera.meta.get("from_file", [])
+    if WHITE_BALANCE in from_file:
+        gains = np.ones(3) if raw.white_balanced else np.asarray(raw.white_balance)
+        params[WHITE_BALANCE] = WhiteBalance(gains=np.asarray(gains, np.float32))  # type: ignore[arg-type]
+    if COLOR_MATRIX in from_file and raw.camera_to_srgb is not None:
+        params[COLOR_MATRIX] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))  # type: ignore[arg-type]
+    return params
+
+
+def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
+    """Render a RAW file.
+
+    Args:
+        raw: what `jaxisp.io.read_raw` read.
+        camera: a pipeline from a mosaic to encoded sRGB; `standard_camera()` unless given.
+        key: for a camera that draws noise.
+
+    Returns:
+        (H, W, 3) float32 encoded sRGB in [0, 1], turned upright.
+
+    Raises:
+        InputError: the camera does not turn a mosaic into encoded sRGB.
+    """
+    camera = camera or standard_camera()
+    chain = with_cfa(camera.chain, raw.cfa)
+    if (chain.domain_in.name, chain.domain_out.name) != ("mosaic", "encoded sRGB"):
+        raise InputError(
+            f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}; "
+            "developing needs mosaic into encoded sRGB"
+        )
+    picture = run(chain, params_for(camera, raw), raw.mosaic, key)
+    return orient(np.clip(np.asarray(picture), 0, 1), raw.orientation)

@@ -1,0 +1,38 @@
+"""The command line: parse, call, print. JAX is imported by the commands that compute, not for --help."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from jaxisp import __version__
+from jaxisp.cli import degrade, demo, develop, fit, listings
+from jaxisp.errors import InputError
+
+_MODULES = (demo, develop, fit, degrade, listings)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="jaxisp", description="Simulate a camera's pipeline in JAX, and fit it to a real camera."
+    )
+    top.add_argument("--version", action="version", version=f"jaxisp {__version__}")
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    for module in _MODULES:
+        module.add_commands(commands)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command. Returns 0 (done), 2 (the call or its input is unusable) or 1 (it broke)."""
+    arguments = parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except InputError as error:
+        print(f"jaxisp: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("jaxisp: stopped; what was written is whole", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 1

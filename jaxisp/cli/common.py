@@ -1,0 +1,59 @@
+"""What the commands share: common options and printing."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+def add_command(
+    commands: Any, name: str, run: Any, help: str, *, prints: bool = True
+) -> argparse.ArgumentParser:
+    """A subcommand with the options that all have."""
+    command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
+    command.add_argument("--seed", type=int, default=0, help="seed of all that is random (default 0)")
+    if prints:
+        command.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    command.set_defaults(run=run)
+    return command
+
+
+def positive(text: str) -> int:
+    """argparse type: a positive integer."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return value
+
+
+def print_json(value: Any) -> None:
+    print(json.dumps(value, allow_nan=False))
+
+
+def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """A table on standard output, as wide as it needs to be."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*headers, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*map(str, row))
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Any]:
+    """`tick(done, total, text)` drawn on standard error, on a terminal only."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(label, total=None)
+
+        def tick(done: int, total: int, text: str = "") -> None:
+            bar.update(task, completed=done, total=total, description=f"{label} {text}".strip())
+
+        yield tick

@@ -1,0 +1,121 @@
+"""Illuminants and primaries: the Planckian locus, ROMM primaries, camera matrices."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.color import SRGB_TO_XYZ, XYZ_TO_SRGB
+from jaxisp.numerics import safe_sqrt
+
+D65_TEMPERATURE, D65_TINT = 6504.0, 0.0032
+"""Correlated colour temperature [K] and Duv of D65, the white of sRGB."""
+
+# Polynomials in 1000 K / T, lowest power first, fitted by least squares to the chromaticity of Planck's
+# law (c2 = 1.4388e-2 m K) under the CIE 1931 2-degree observer at 1 nm, for 1900 to 13000 K.
+# They are within 4e-6 of it; Krystek's (1985) rational fit is within 1e-4.
+_LOCUS_U = (
+    0.180286288, 0.0510929078, 0.324490567, 2.73754935, -12.9509629, 25.9578598, -26.363214, 11.0176727,
+)  # fmt: skip
+_LOCUS_V = (
+    0.265027902, 0.160133146, 2.22420488, -12.9756974, 34.3366592, -51.9513799, 43.5101672, -15.6831121,
+)  # fmt: skip
+
+
+def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Value and derivative by Horner's rule."""
+    value, slope = jnp.zeros_like(x), jnp.zeros_like(x)
+    for c in reversed(coefficients):
+        slope = slope * x + value
+        value = value * x + c
+    return value, slope
+
+
+def planckian_uv(temperature: jax.Array, tint: Any = 0.0) -> tuple[jax.Array, jax.Array]:
+    """CIE 1960 (u, v) at a distance of `tint` from the Planckian locus, along its normal.
+
+    Args:
+        temperature: correlated colour temperature, 1900 to 13000 K.
+        tint: Duv; positive is above the locus (greenish), negative below (pinkish).
+
+    Gradient: exact, to both.
+    """
+    x = 1000.0 / jnp.asarray(temperature)
+    u, du = _polynomial(_LOCUS_U, x)
+    v, dv = _polynomial(_LOCUS_V, x)
+    length = safe_sqrt(du * du + dv * dv)
+    return u - tint * dv / length, v + tint * du / length
+
+
+def illuminant_rgb(temperature: jax.Array, tint: Any = 0.0) -> jax.Array:
+    """(3,) linear sRGB of the illuminant of that colour with luminance 1; channels may be negative."""
+    u, v = planckian_uv(temperature, tint)
+    xyz = (1.5 * u / v, jnp.ones_like(u), (2.0 - 0.5 * u) / v - 5.0)
+    m = jnp.asarray(XYZ_TO_SRGB, u.dtype)
+    return jnp.stack([m[i, 0] * xyz[0] + m[i, 1] * xyz[1] + m[i, 2] * xyz[2] for i in range(3)])
+
+
+def primaries_to_xyz(primaries: Any, white: Any) -> np.ndarray:
+    """The 3x3 matrix from linear RGB to XYZ.
+
+    Args:
+        primaries: (3, 2) chromaticities (x, y) of R, G, B.
+        white: (x, y) of RGB = (1, 1, 1), whose Y becomes 1.
+
+    Source: SMPTE RP 177-1993.
+    """
+    columns = np.array([_xy_to_xyz(p) for p in primaries]).T
+    return columns * np.linalg.solve(columns, _xy_to_xyz(white))
+
+
+def bradford(white_from: Any, white_to: Any) -> np.ndarray:
+    """The 3x3 matrix that adapts XYZ under one white (XYZ) to another.
+
+    Source: Lam 1985; ICC.1:2022, annex E.
+    """
+    cone = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+    scale = (cone @ np.asarray(white_to)) / (cone @ np.asarray(white_from))
+    return np.linalg.inv(cone) @ (scale[:, None] * cone)
+
+
+def _xy_to_xyz(xy: Any) -> np.ndarray:
+    x, y = xy
+    return np.array([x / y, 1.0, (1 - x - y) / y])
+
+
+def _prophoto_to_srgb() -> np.ndarray:
+    d50 = (0.3457, 0.3585)
+    romm = primaries_to_xyz(((0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001)), d50)
+    return XYZ_TO_SRGB @ bradford(_xy_to_xyz(d50), SRGB_TO_XYZ.sum(axis=1)) @ romm
+
+
+PROPHOTO_TO_SRGB = _prophoto_to_srgb()
+"""Linear ROMM RGB (D50) to linear sRGB (D65), Bradford-adapted: white goes to white."""
+
+SRGB_TO_PROPHOTO = np.linalg.inv(PROPHOTO_TO_SRGB)
+"""The exact inverse."""
+
+
+def camera_to_srgb_matrix(xyz_to_camera: Any) -> np.ndarray:
+    """The matrix that takes white-balanced camera RGB to linear sRGB, as dcraw makes it.
+
+    The camera's response to sRGB's primaries, each row scaled to sum to 1 (which is the white
+    balance for D65), inverted. So its rows sum to 1: white stays white.
+
+    Args:
+        xyz_to_camera: 3x3, a DNG ColorMatrix: CIE XYZ to the camera's own RGB.
+
+    Raises:
+        ValueError: the matrix is not 3x3, not finite, or has no inverse.
+
+    Source: Coffin, dcraw, cam_xyz_coeff; DNG Specification 1.6, chapter 6.
+    """
+    matrix = np.asarray(xyz_to_camera, np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ValueError(f"xyz_to_camera: expected 3x3 finite numbers, got {matrix.tolist()}")
+    camera = matrix @ SRGB_TO_XYZ
+    white = camera.sum(axis=1, keepdims=True)
+    if (np.abs(white) < 1e-9).any() or np.linalg.cond(camera) > 1e9:
+        raise ValueError(f"xyz_to_camera: has no inverse that keeps white: {matrix.tolist()}")
+    return np.linalg.inv(camera / white)

@@ -1,0 +1,148 @@
+"""The main job on the package's own data: RAW+JPEG pairs, a fit, degraded patches, one HTML page."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.camera import develop
+from jaxisp.cfa import masks
+from jaxisp.domains import ENCODED
+from jaxisp.fit import fit_dataset
+from jaxisp.fit.report import add_fit
+from jaxisp.generate import degrade_files
+from jaxisp.io import open_dataset, write_png
+from jaxisp.metrics import psnr
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import CFA, RECIPES
+from jaxisp.report import Page
+from jaxisp.samples import PHONES, scene_names, scenes, write_pairs
+from jaxisp.stage import Chain
+from jaxisp.stages.transfer import srgb_oetf
+
+PATCH = 80
+SIZE = 256
+SHOWN_RECIPES = ("awgn", "amwgn", "phone")
+
+Tick = Callable[[int, int, str], Any]
+
+
+def run_demo(
+    out: str | Path, *, seed: int = 0, tick: Tick = lambda done, total, text: None
+) -> dict[str, Any]:
+    """Run the demo into a folder.
+
+    Args:
+        out: the folder; `report.html` in it shows the results.
+        seed: of everything that is drawn.
+        tick: called with (done, total, text).
+
+    Returns:
+        {"report", "fit", "degrade", "seconds"}.
+    """
+    clock, out = time.perf_counter(), Path(out)
+    page = Page(
+        "jaxisp: a camera in JAX",
+        "Made offline from data that comes with the package: a reference phone, written without any of the "
+        "simulator's code, takes RAW+JPEG pairs; the simulator is fitted to them, then degrades clean patches.",
+    )
+    photographs = list(scenes(SIZE))
+    tick(1, 5, "taking pictures with the reference phone")
+    write_pairs(out / "pairs", PHONES["a"], photographs[:2], seed, SIZE)
+    tick(2, 5, "fitting the camera")
+    result = fit_dataset(out / "pairs")
+    result.camera.save(out / "camera.toml")
+    tick(3, 5, "stage by stage")
+    _add_stages(page, _encoded(photographs[0]), RECIPES["phone"](), seed)
+    tick(4, 5, "degrading")
+    degraded = _degrade(page, out, photographs, seed)
+    add_fit(page, result)
+    _add_develop(page, out, result.camera)
+    page.write(out / "report.html")
+    tick(5, 5, "")
+    return {
+        "report": str(out / "report.html"),
+        "fit": result.as_dict(),
+        "degrade": degraded,
+        "seconds": round(time.perf_counter() - clock, 1),
+    }
+
+
+def _encoded(scene: np.ndarray) -> np.ndarray:
+    """A linear scene as an encoded picture."""
+    return np.asarray(srgb_oetf(jnp.clip(jnp.asarray(scene, jnp.float32), 0, 1)))
+
+
+def _add_stages(page: Page, picture: np.ndarray, recipe: Recipe, seed: int) -> None:
+    """One crop of the photograph after each stage of a recipe, encoded for the screen."""
+    page.heading(
+        "One photograph, stage by stage",
+        f"A {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. A mosaic is "
+        "shown with each photosite in its own colour.",
+    )
+    key = jax.random.key(seed)
+    params, image = recipe.draw(key), jnp.asarray(_crop(picture))
+    shown, linear = [("clean", _crop(picture))], False
+    for node in recipe.chain.nodes:
+        image = Chain((node,), node.name)(params, image, key=key)
+        if not node.domain_out.keeps:
+            linear = node.domain_out not in (ENCODED,)
+        shown.append((_caption(node.name, params), _for_screen(image, linear)))
+    page.figures(shown, magnify=3)
+
+
+def _caption(name: str, params: dict[str, Any]) -> str:
+    values = vars(params[name]) if name in params else {}
+    numbers = [f"{field} {np.array2string(np.asarray(v), precision=3)}" for field, v in values.items()]
+    return f"{name}: {', '.join(numbers)}" if numbers else name
+
+
+def _for_screen(image: jax.Array, linear: bool) -> np.ndarray:
+    if image.ndim == 2:
+        image = jnp.stack(
+            [jnp.where(mask, image, 0) for mask in masks((image.shape[0], image.shape[1]), CFA)], -1
+        )
+    return np.asarray(srgb_oetf(jnp.clip(image, 0, 1)) if linear else image)
+
+
+def _crop(picture: np.ndarray) -> np.ndarray:
+    """The middle of a picture, at an even position so that the CFA keeps its phase."""
+    y, x = ((n - PATCH) // 4 * 2 for n in picture.shape[:2])
+    return picture[y : y + PATCH, x : x + PATCH]
+
+
+def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) -> dict[str, Any]:
+    """Degrade patches by several recipes; the phone's are written as a data set too."""
+    page.heading(
+        "A batch of degraded patches",
+        "Each patch has its own draw of noise, denoising, sharpening and JPEG level. White noise is what most "
+        "denoisers are trained on; the phone's is what they meet.",
+    )
+    pictures = [_encoded(p) for p in photographs]
+    patches = np.stack([_crop(p) for p in pictures])
+    for name in SHOWN_RECIPES:
+        noisy, clean, _ = RECIPES[name]().degrade(jax.random.key(seed), patches)
+        figures = [(f"{name}, {float(psnr(n, c)):.1f} dB", np.asarray(n)) for n, c in zip(noisy, clean)]
+        page.figures(figures[:5], magnify=3)
+    for name, picture in zip(scene_names(), pictures):
+        write_png(out / "clean" / f"{name}.png", picture)
+    return degrade_files([out / "clean"], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
+
+
+def _add_develop(page: Page, out: Path, camera: Recipe) -> None:
+    """One RAW, developed plainly and by the fitted camera."""
+    pair = open_dataset(out / "pairs").pairs[0].load()
+    assert pair.raw is not None, "the reference phone wrote it"
+    page.heading("The fitted camera on a RAW file", "As `jaxisp develop RAW --camera CAMERA.toml` does it.")
+    pictures = [
+        ("plain", develop(pair.raw)),
+        ("fitted camera", develop(pair.raw, camera)),
+        ("the phone's JPEG", pair.picture),
+    ]
+    for name, picture in pictures[:2]:
+        write_png(out / f"developed-{name.split()[0]}.png", picture)
+    page.figures(pictures)

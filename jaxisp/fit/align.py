@@ -1,0 +1,370 @@
+"""Registration: where a rendered picture lies on the camera's own, whatever the tone of the two.
+
+Both are reduced to planes that a global monotone curve does not change; a phase correlation finds the
+shift, Gauss-Newton from coarse to fine refines shift and scale. `warp` then applies the result.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.color import LUMA_601
+from jaxisp.io.orientation import INVERSE, orient
+
+_COARSE = 384  # px of the longer side where the search starts
+_FINE = 1024  # px of the longer side where it ends
+_SMALLEST = 16  # px of the shorter side
+_SAMPLE = 100_000  # pixels that are ranked
+_PATCH = 30.0  # px whose normalised values are about as good as one independent one
+_CHANCE = 5.0  # standard deviations that are not reached by chance
+_ALIKE = 0.2  # what different scenes reach by being built alike (a bright sky, an upright figure)
+_SCALE_DEVIATION = 0.01  # how far the scales of two pictures of one size differ, a priori
+
+
+class Alignment(NamedTuple):
+    """`reference[y, x] ~ moving[cy' + scale_y * (y - cy) + dy, cx' + scale_x * (x - cx) + dx]`.
+
+    (cy, cx) is the centre of the reference, (cy', cx') that of the moving picture: half of (size - 1).
+    """
+
+    dy: Any = 0.0
+    dx: Any = 0.0
+    scale_y: Any = 1.0
+    scale_x: Any = 1.0
+    correlation: Any = 1.0
+
+
+def estimate(reference: np.ndarray, moving: np.ndarray) -> Alignment:
+    """Find where `moving` lies on `reference`; `warp(moving, result, reference.shape)` lays it there.
+
+    Args:
+        reference: (H, W, 3) or (H, W), at least 16 px on the shorter side.
+        moving: likewise; size, tone, colour, noise and sharpness may differ from the reference's.
+
+    Returns:
+        The alignment, in Python floats. `correlation` is that of the two normalised pictures (reduced to
+        at most 384 px), times the square root of the share that overlaps; see `same_scene`.
+
+    Raises:
+        ValueError: a picture is too small or not finite.
+    """
+    still, moved = _luma("reference", reference), _luma("moving", moving)
+    factors = _factors(still.shape, moved.shape)
+    place = _search(still, moved, factors[0])[0]
+    prior = place.scale
+    correlation = -1.0
+    for index, factor in enumerate((*factors, factors[-1])):
+        a, b = _reduce(still, factor), _reduce(moved, factor)
+        if index == len(factors) and np.ndim(moving) == 3:  # aligned well enough to compare colours
+            b = _recolor(a, [_reduce(np.asarray(moving)[..., c], factor) for c in range(3)], place.at(factor))
+        refined, agreement = _refine(a, b, place.at(factor), prior)
+        if factor == factors[0]:
+            correlation = agreement
+        if agreement < _chance(min(a.size, b.size)):
+            break  # only noise is left at this size
+        place = refined.full(factor)
+    return _alignment(place, still.shape, moved.shape, correlation)
+
+
+def same_scene(alignment: Alignment, shape: tuple[int, ...]) -> bool:
+    """Whether the correlation is above what two pictures of different scenes reach by chance.
+
+    Args:
+        alignment: what `estimate` returned.
+        shape: of the smaller picture; the smaller it is, the more chance gives. Below about 64 px
+            a true pair that is noisy may not stand out from it.
+    """
+    factor = _factors(shape, shape)[0]
+    return float(alignment.correlation) > max(_chance(shape[0] * shape[1] / factor**2), _ALIKE)
+
+
+def warp(image: jax.Array, alignment: Alignment, shape: tuple[int, ...] | None = None) -> jax.Array:
+    """Sample `image` where `alignment` says: the image laid on the reference it was aligned to.
+
+    Bicubic (Keys 1981, a = -1/2), separable; outside the image its edge pixel is repeated. The identity
+    returns the image bit by bit. It does not low-pass first: scales are to stay near 1.
+
+    Args:
+        image: (H, W) or (H, W, C).
+        alignment: may be traced.
+        shape: of the result, its first two sizes; that of the image if None. Static.
+
+    Returns:
+        (H', W') or (H', W', C).
+
+    Gradient: exact, to the image and to the alignment.
+    """
+    h, w = image.shape[:2] if shape is None else shape[:2]
+    rows = _positions(h, image.shape[0], alignment.scale_y, alignment.dy, jnp.arange(h, dtype=image.dtype))
+    columns = _positions(w, image.shape[1], alignment.scale_x, alignment.dx, jnp.arange(w, dtype=image.dtype))
+    return _sample(jnp, _sample(jnp, image, rows, 0), columns, 1)
+
+
+def covered(
+    alignment: Alignment, image_shape: tuple[int, ...], shape: tuple[int, ...] | None = None
+) -> jax.Array:
+    """(H', W') boolean: where `warp` reads inside the image, its repeated edge left out."""
+    (h, w), (size_y, size_x) = (image_shape if shape is None else shape)[:2], image_shape[:2]
+    rows = _positions(h, size_y, alignment.scale_y, alignment.dy, jnp.arange(float(h)))
+    columns = _positions(w, size_x, alignment.scale_x, alignment.dx, jnp.arange(float(w)))
+    inside_y = (rows >= 0) & (rows <= size_y - 1)
+    inside_x = (columns >= 0) & (columns <= size_x - 1)
+    return inside_y[:, None] & inside_x
+
+
+def best_orientation(reference: np.ndarray, moving: np.ndarray) -> int:
+    """The EXIF orientation, 1 to 8, that turns `moving` so that it agrees best with `reference`.
+
+    See `jaxisp.io.orientation.orient` for what each one does.
+    """
+    still, moved = _luma("reference", reference), _luma("moving", moving)
+    factor = _factors(still.shape, moved.shape)[0]
+    return max(INVERSE, key=lambda orientation: _search(still, orient(moved, orientation), factor)[1])
+
+
+class _Place(NamedTuple):
+    """The same map counted from pixel (0, 0), as `offset + scale * index` a side: (y, x)."""
+
+    offset: np.ndarray
+    scale: np.ndarray
+
+    def at(self, factor: int) -> "_Place":
+        """As seen in pictures reduced by `factor`, whose first pixel is centred at (factor - 1) / 2."""
+        first = (factor - 1) / 2
+        return _Place((self.offset + self.scale * first - first) / factor, self.scale)
+
+    def full(self, factor: int) -> "_Place":
+        """The inverse of `at`."""
+        first = (factor - 1) / 2
+        return _Place(factor * self.offset + first - self.scale * first, self.scale)
+
+
+def _alignment(
+    place: _Place, shape: tuple[int, ...], moved: tuple[int, ...], correlation: float
+) -> Alignment:
+    center, moved_center = (np.asarray(shape) - 1) / 2, (np.asarray(moved) - 1) / 2
+    dy, dx = place.offset + place.scale * center - moved_center
+    return Alignment(float(dy), float(dx), float(place.scale[0]), float(place.scale[1]), float(correlation))
+
+
+def _positions(size: int, moved_size: int, scale: Any, shift: Any, index: jax.Array) -> jax.Array:
+    return (moved_size - 1) / 2 + scale * (index - (size - 1) / 2) + shift
+
+
+def _sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
+    """Cubic convolution along one axis, in NumPy or JAX; `xp` says which."""
+    first = xp.floor(positions)
+    t = (positions - first).reshape((-1,) + (1,) * (image.ndim - 1 - axis))
+    weights = (
+        t * (-0.5 + t * (1 - 0.5 * t)),
+        1 + t * t * (-2.5 + 1.5 * t),
+        t * (0.5 + t * (2 - 1.5 * t)),
+        t * t * (-0.5 + 0.5 * t),
+    )
+    index = xp.clip(first, -4, image.shape[axis] + 4).astype(np.int32)
+    taps = (xp.take(image, xp.clip(index + k - 1, 0, image.shape[axis] - 1), axis=axis) for k in range(4))
+    return sum(w * tap for w, tap in zip(weights, taps))
+
+
+def _luma(name: str, image: np.ndarray) -> np.ndarray:
+    array = np.asarray(image, np.float32)
+    plane = (array @ np.asarray(LUMA_601, np.float32) if array.ndim == 3 else array).astype(np.float64)
+    if min(plane.shape) < _SMALLEST:
+        raise ValueError(f"{name}: {plane.shape[0]}x{plane.shape[1]} px is too small to be aligned")
+    if not np.isfinite(plane).all():
+        raise ValueError(f"{name}: holds NaN or infinite values")
+    return plane
+
+
+def _factors(*shapes: tuple[int, ...]) -> list[int]:
+    """Reductions from the coarsest to the finest that is worth while."""
+    longest, shortest = max(n for s in shapes for n in s[:2]), min(n for s in shapes for n in s[:2])
+    finest = 1
+    while longest // finest > _FINE:
+        finest *= 2
+    factors = [finest]
+    while longest // factors[0] > _COARSE and shortest // factors[0] >= 2 * _SMALLEST:
+        factors.insert(0, 2 * factors[0])
+    return factors
+
+
+def _reduce(plane: np.ndarray, factor: int) -> np.ndarray:
+    """Means of blocks of factor x factor; what is left over is cut off."""
+    h, w = (n // factor for n in plane.shape)
+    return plane[: h * factor, : w * factor].reshape(h, factor, w, factor).mean(axis=(1, 3))
+
+
+def _normalise(plane: np.ndarray, radius: int = 8) -> np.ndarray:
+    """Zero mean and unit variance in each neighbourhood of the ranks, which no monotone curve changes."""
+    ranks = _ranks(plane)
+    smooth = _blur(ranks)
+    detail = smooth - _box(smooth, radius)
+    variance = _box(detail**2, radius) + 1e-12
+    # of white noise the blur leaves 0.094 times what it takes away; what is all noise counts little
+    trust = np.clip(1 - 0.094 * _box((ranks - smooth) ** 2, radius) / variance, 0.05, 1)
+    deviation = np.sqrt(variance)
+    out = trust * detail / (deviation + deviation.mean())
+    return out / (out.std() + 1e-9)
+
+
+def _ranks(plane: np.ndarray) -> np.ndarray:
+    """The share of pixels that are darker, in (0, 1)."""
+    sample = plane.ravel()[:: plane.size // _SAMPLE + 1]
+    levels, counts = np.unique(sample, return_counts=True)
+    return np.interp(plane, levels, (np.cumsum(counts) - 0.5 * counts) / sample.size)
+
+
+def _recolor(still: np.ndarray, channels: list[np.ndarray], place: _Place) -> np.ndarray:
+    """The moving picture's channels made one plane that resembles `still`, by a quadratic of their ranks.
+
+    A curve per channel and a mix of channels do not leave luma a function of luma: edges would seem to move.
+    """
+    r, g, b = (_ranks(c) for c in channels)
+    terms = [np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r]
+    area = _inside(place, still.shape, r.shape)
+    seen = [_view(t, place, still.shape)[area].ravel() for t in terms]
+    thin = slice(None, None, seen[0].size // _SAMPLE + 1)
+    wanted = _ranks(still)[area].ravel()[thin]
+    weights = np.linalg.lstsq(np.stack([t[thin] for t in seen], 1), wanted, rcond=1e-6)[0]
+    return np.tensordot(weights, np.stack(terms), 1)
+
+
+def _blur(plane: np.ndarray) -> np.ndarray:
+    """Binomial, standard deviation 1 px: keeps interpolation error and noise out of the estimate."""
+    for axis in (0, 1):
+        padded = np.pad(plane, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="reflect")
+        moved = [np.take(padded, np.arange(k, k + plane.shape[axis]), axis) for k in range(5)]
+        plane = (moved[0] + moved[4] + 4 * (moved[1] + moved[3]) + 6 * moved[2]) / 16
+    return plane
+
+
+def _box(plane: np.ndarray, radius: int) -> np.ndarray:
+    """Mean of (2 radius + 1)**2 neighbours, reflected at the border."""
+    width = 2 * radius + 1
+    for axis in (0, 1):
+        padding = [(radius + 1, radius) if a == axis else (0, 0) for a in (0, 1)]
+        total = np.cumsum(np.pad(plane, padding, mode="symmetric"), axis=axis)
+        n = plane.shape[axis]
+        ends, starts = (np.take(total, np.arange(first, first + n), axis) for first in (width, 0))
+        plane = (ends - starts) / width
+    return plane
+
+
+def _search(still: np.ndarray, moved: np.ndarray, factor: int) -> tuple[_Place, float]:
+    """The best whole shift (of reduced pixels), at scale 1 and, for other sizes, at that which fits."""
+    a, b = _normalise(_reduce(still, factor)), _normalise(_reduce(moved, factor))
+    ratio = np.asarray(b.shape) / np.asarray(a.shape)
+    scales = [np.ones(2)] + ([ratio] if still.shape != moved.shape else [])
+    found = []
+    for scale in scales:
+        start = _Place((np.asarray(b.shape) - 1) / 2 - scale * (np.asarray(a.shape) - 1) / 2, scale)
+        for shift in _peaks(a, _view(b, start, a.shape)):
+            place = _Place(start.offset + scale * shift, scale)
+            correlation, pixels = _agreement(a, b, place)
+            found.append((correlation * _share(pixels, a, b), place))  # so that chance favours no shift
+    score, place = max(found, key=lambda f: f[0])
+    return place.full(factor), score
+
+
+def _peaks(a: np.ndarray, b: np.ndarray, count: int = 6) -> list[np.ndarray]:
+    """Whole shifts at which the phase correlation of two planes of one size is highest; (0, 0) is one."""
+    window = np.hanning(a.shape[0] + 2)[1:-1, None] * np.hanning(a.shape[1] + 2)[1:-1]
+    size = tuple(2 * n for n in a.shape)  # zeros around, so that a shift does not wrap
+    cross = np.fft.rfft2(window * b, size) * np.conj(np.fft.rfft2(window * a, size))
+    surface = np.fft.irfft2(cross / (np.abs(cross) + 1e-3 * np.abs(cross).max() + 1e-12), size)
+    shifts = [np.zeros(2)]
+    for index in np.argsort(surface, axis=None)[: -count - 1 : -1]:
+        shift = np.asarray(np.unravel_index(index, size), float)
+        shifts.append(np.where(shift >= a.shape, shift - size, shift))
+    return shifts
+
+
+def _view(moved: np.ndarray, place: _Place, shape: tuple[int, ...]) -> np.ndarray:
+    for axis in (0, 1):
+        moved = _sample(np, moved, place.offset[axis] + place.scale[axis] * np.arange(shape[axis]), axis)
+    return moved
+
+
+def _inside(place: _Place, shape: tuple[int, ...], moved_shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of the reference that read inside the moving picture, 2 px from its edge."""
+    low = np.ceil((2 - place.offset) / place.scale).clip(2, None).astype(int)
+    last = np.floor((np.asarray(moved_shape) - 3 - place.offset) / place.scale)
+    high = np.minimum(last, np.asarray(shape) - 3).astype(int) + 1
+    return slice(low[0], max(high[0], low[0])), slice(low[1], max(high[1], low[1]))
+
+
+def _agreement(a: np.ndarray, b: np.ndarray, place: _Place) -> tuple[float, int]:
+    """Correlation where the two overlap, and over how many pixels."""
+    area = _inside(place, a.shape, b.shape)
+    b = _view(b, place, a.shape)[area]
+    a = a[area] - a[area].mean() if b.size else b
+    b = b - b.mean() if b.size else b
+    return float((a * b).sum() / (np.sqrt((a**2).sum() * (b**2).sum()) + 1e-12)), b.size
+
+
+def _chance(pixels: float) -> float:
+    """The correlation that a search among shifts finds in unrelated planes."""
+    return _CHANCE * np.sqrt(_PATCH / pixels)
+
+
+def _refine(still: np.ndarray, moved: np.ndarray, place: _Place, prior: np.ndarray) -> tuple[_Place, float]:
+    """`place` corrected, and the correlation there, times the root of the share that overlaps."""
+    area = _inside(place, still.shape, moved.shape)
+    a, b = still[area], _view(moved, place, still.shape)[area]
+    if min(a.shape) < _SMALLEST:
+        return place, -1.0
+    change, correlation = _fit(_normalise(a), _normalise(b), prior / place.scale)
+    first = np.array([s.start for s in area])
+    offset = place.offset + place.scale * (change.offset + first - change.scale * first)
+    return _Place(offset, place.scale * change.scale), correlation * _share(a.size, still, moved)
+
+
+def _share(pixels: int, a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.sqrt(min(pixels / min(a.size, b.size), 1.0)))
+
+
+def _fit(a: np.ndarray, b: np.ndarray, prior: np.ndarray, steps: int = 20) -> tuple[_Place, float]:
+    """Levenberg-Marquardt on the difference of two normalised planes, from the identity.
+
+    The scales have a Gaussian prior, so that noise does not turn into a scale in small pictures.
+    """
+    half = np.asarray(a.shape) / 2
+
+    def score(place: _Place) -> float:
+        correlation = _agreement(a, b, place)[0]
+        strain = (((place.scale - prior) / _SCALE_DEVIATION) ** 2).sum()
+        return -0.5 * a.size / _PATCH * np.log(1 - min(correlation, 1 - 1e-9) ** 2 + 1e-9) - 0.5 * strain
+
+    place, damping = _Place(np.zeros(2), np.ones(2)), 1e-3
+    best = score(place)
+    for _ in range(steps):
+        step = _step(a, b, place, half * (place.scale - prior), damping)
+        scale = place.scale + step[2:] / half
+        trial = _Place(place.offset + step[:2] - step[2:], scale)  # the scale turns about the centre
+        value = score(trial)
+        if value > best:
+            place, best, damping = trial, value, damping / 4
+        else:
+            damping *= 8
+        if np.abs(step).max() < 2e-4 or damping > 1e4:
+            break
+    return place, _agreement(a, b, place)[0]
+
+
+def _step(a: np.ndarray, b: np.ndarray, place: _Place, strain: np.ndarray, damping: float) -> np.ndarray:
+    """Change of the shifts [px], and of the scales as px at the border, that best explains the residual."""
+    area = _inside(place, a.shape, b.shape)
+    view = _view(b, place, a.shape)
+    slopes = [s[area] for s in np.gradient(view)]
+    arms = [np.linspace(-1, 1, n) for n in a.shape]
+    across, along = arms[0][area[0], None], arms[1][area[1]]
+    still, moved = a[area], view[area]
+    gain = (still * moved).sum() / ((moved**2).sum() + 1e-12)
+    residual = (still - gain * moved).ravel()
+    jacobian = np.stack([slopes[0], slopes[1], slopes[0] * across, slopes[1] * along]).reshape(4, -1) * gain
+    stiffness = _PATCH * residual.var() / (_SCALE_DEVIATION * np.asarray(a.shape) / 2) ** 2
+    normal = jacobian @ jacobian.T + np.diag([0, 0, *stiffness])
+    right = jacobian @ residual - np.array([0, 0, *(stiffness * strain)])
+    return np.linalg.solve(normal + damping * np.diag(normal.diagonal()) + 1e-9 * np.eye(4), right)

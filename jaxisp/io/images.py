@@ -1,0 +1,155 @@
+"""Pictures: clean photographs in, results out."""
+
+import io
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from PIL import Image
+
+from jaxisp.checks import check_finite
+from jaxisp.errors import InputError
+from jaxisp.io.files import IMAGE_SUFFIXES, PathLike, atomic_write, check_file, load_npy, read_bytes
+from jaxisp.io.jpeg import decode_jpeg, orientation_of, profile_to_srgb, to_bytes
+from jaxisp.io.orientation import orient
+from jaxisp.io.tags import quiet_tifffile
+
+_MODES = {
+    "1": "black and white", "L": "grayscale", "LA": "grayscale with alpha", "P": "a palette picture",
+    "PA": "a palette picture",
+    "I": "grayscale", "I;16": "16-bit grayscale", "I;16B": "16-bit grayscale", "F": "grayscale",
+    "CMYK": "CMYK",
+    "LAB": "CIELAB", "YCbCr": "Y'CbCr",
+}  # fmt: skip
+
+
+def read_image(path: PathLike) -> np.ndarray:
+    """Read a clean photograph.
+
+    Args:
+        path: PNG (8 bits), JPEG, TIFF (8 or 16 bits, or float) or NPY (uint8, uint16, or float in [0, 1]),
+            in colour and without transparency.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1], as encoded, upright, converted to sRGB where the file has another
+        colour profile (8-bit files; NPY has none).
+
+    Raises:
+        InputError: it cannot be read, is damaged, or is another kind of picture.
+    """
+    path = check_file(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return _read_npy(path)
+    data = read_bytes(path)
+    if data[:2] == b"\xff\xd8":
+        return np.ascontiguousarray(decode_jpeg(data, str(path)).upright)
+    if data[:4] in (b"II*\0", b"MM\0*"):
+        return _read_tiff(path, data)
+    if data[:8] == b"\x89PNG\r\n\x1a\n":
+        return _read_png(path, data)
+    raise InputError(f"{path}: is not a picture jaxisp reads ({', '.join(IMAGE_SUFFIXES)}), or a damaged one")
+
+
+def write_png(path: PathLike, image: np.ndarray) -> None:
+    """Write an (H, W, 3) encoded float image in [0, 1] (cut there, rounded to 8 bits), or a uint8 one.
+
+    Raises:
+        InputError: NaN in the image, or the file cannot be written.
+    """
+    pixels = to_bytes(image, str(path))
+    with atomic_write(path) as file:
+        Image.fromarray(pixels).save(file, "PNG")
+
+
+def _read_png(path: Path, data: bytes) -> np.ndarray:
+    if len(data) > 24 and data[12:16] == b"IHDR" and data[24] == 16:
+        raise InputError(f"{path}: is a 16-bit PNG, expected 8 bits (or a 16-bit TIFF)")
+    return _read_pillow(path, data, "PNG")
+
+
+def _read_pillow(path: Path, data: bytes, kind: str) -> np.ndarray:
+    """An 8-bit file through Pillow, which reads deeper ones as 8-bit without a word: check before."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            picture = Image.open(io.BytesIO(data), formats=(kind,))
+            picture.load()
+            orientation = orientation_of(picture.getexif())
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{path}: says it is larger than any camera's picture; it is damaged") from error
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        struct.error,
+        EOFError,
+        MemoryError,
+        KeyError,
+        TypeError,
+    ) as error:
+        raise InputError(f"{path}: is a damaged or truncated {kind} ({error})") from error
+    pixels = _rgb(picture, path)
+    icc = picture.info.get("icc_profile")
+    if icc:
+        pixels, _ = profile_to_srgb(pixels, icc, str(path))
+    return np.ascontiguousarray(orient(pixels, orientation).astype(np.float32) / np.float32(255))
+
+
+def _rgb(picture: Any, path: Path) -> np.ndarray:
+    if picture.mode == "RGB" and "transparency" not in picture.info:
+        return np.asarray(picture)
+    if picture.mode == "RGBA":
+        pixels = np.asarray(picture)
+        if (pixels[..., 3] == 255).all():
+            return pixels[..., :3]
+    if picture.mode in ("RGBA", "RGB"):
+        raise InputError(f"{path}: is partly transparent, expected an opaque RGB picture")
+    raise InputError(f"{path}: is {_MODES.get(picture.mode, picture.mode)}, expected an RGB picture")
+
+
+def _read_tiff(path: Path, data: bytes) -> np.ndarray:
+    try:
+        with quiet_tifffile(), tifffile.TiffFile(io.BytesIO(data)) as tif:
+            page: Any = tif.pages[0]
+            kind, bits, samples = page.dtype, page.bitspersample, page.samplesperpixel
+            photometric, deep = int(page.photometric), page.dtype is not None and page.dtype.itemsize > 1
+            orientation = int(page.tags[274].value) if 274 in page.tags else 1
+            pixels = page.asarray() if deep and photometric == 2 and samples == 3 else None
+    except Exception as error:  # a parser on arbitrary bytes: any error means the same
+        raise InputError(
+            f"{path}: is a damaged or truncated TIFF, or compressed in a way not read here"
+        ) from error
+    if not deep and bits == 8:
+        return _read_pillow(path, data, "TIFF")
+    if pixels is None:
+        raise InputError(
+            f"{path}: is a TIFF of {samples} samples of {bits} bits, expected RGB of 8 or 16 bits"
+        )
+    if page.planarconfig == 2:
+        pixels = np.moveaxis(pixels, 0, -1)
+    scaled = _to_unit(pixels, path, str(kind))
+    return np.ascontiguousarray(orient(scaled, orientation if 1 <= orientation <= 8 else 1))
+
+
+def _read_npy(path: Path) -> np.ndarray:
+    array = load_npy(path)
+    if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
+        raise InputError(f"{path}: has shape {array.shape}, expected (H, W, 3)")
+    return _to_unit(array, path, str(array.dtype))
+
+
+def _to_unit(array: np.ndarray, path: Path, kind: str) -> np.ndarray:
+    """Integers divided by their largest value, floats checked to lie in [0, 1]."""
+    if array.dtype in (np.uint8, np.uint16):
+        return array.astype(np.float32) / np.float32(np.iinfo(array.dtype).max)
+    if array.dtype.kind != "f":
+        raise InputError(f"{path}: holds {kind}, expected uint8, uint16 or float")
+    check_finite(str(path), array)
+    low, high = float(array.min()), float(array.max())
+    if low < -1e-6 or high > 1 + 1e-6:
+        raise InputError(f"{path}: holds values from {low:g} to {high:g}, expected [0, 1]")
+    return np.clip(array, 0, 1).astype(np.float32)

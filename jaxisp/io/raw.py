@@ -1,0 +1,334 @@
+"""RAW files: the mosaic, and all that the file states about the camera that made it."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rawpy
+
+from jaxisp.cfa import PATTERNS, shifted
+from jaxisp.checks import check_finite
+from jaxisp.errors import InputError
+from jaxisp.io import tags as dng
+from jaxisp.io.calibration import (
+    Calibration,
+    camera_to_srgb,
+    camera_to_srgb_d65,
+    usable,
+    white_xy,
+)
+from jaxisp.io.description import RawDescription, describe
+from jaxisp.io.files import PathLike, check_file, load_npy, read_toml
+from jaxisp.io.jpeg import frame_header
+from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain
+
+RAW_SUFFIXES = (
+    ".dng", ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos",
+    ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
+)  # fmt: skip
+_FLIP_TO_EXIF = {0: 1, 3: 3, 5: 8, 6: 6}
+
+
+@dataclass(frozen=True)
+class Raw:
+    """A RAW picture, cut to the camera's own crop.
+
+    Args:
+        mosaic: (H, W) float32, linear; black is 0, white is 1. Negatives are kept, values may exceed 1.
+        cfa: pattern of `mosaic` from its top-left.
+        black: (4,) levels of its 2x2 cell row by row, in the file's units (means where they vary).
+        white: saturation level in the file's units.
+        white_balance: (3,) gains as shot, green 1; ones where the file states none. Not applied,
+            unless `white_balanced`.
+        calibration: the matrices the file states, or None.
+        xyz_to_camera: (3, 3) for the light of the shot, or None.
+        camera_to_srgb: (3, 3) for white-balanced camera RGB, rows sum to 1, or None.
+        noise_profile: (3, 2) shot and read of R, G, B in `shot * x + read**2`, or None.
+        gain_map: lens-shading maps, not applied; `shading` evaluates them.
+        warp, vignette: lens corrections, not applied, or None.
+        orientation: EXIF 1 to 8, not applied.
+        active_area: top, left, bottom, right in the sensor's frame.
+        crop: top, left, height, width of `mosaic` in the active area.
+    """
+
+    path: Path
+    mosaic: np.ndarray
+    cfa: str
+    black: np.ndarray
+    white: float
+    white_balance: np.ndarray
+    active_area: tuple[int, int, int, int]
+    crop: tuple[int, int, int, int]
+    white_balanced: bool = False
+    calibration: Calibration | None = None
+    xyz_to_camera: np.ndarray | None = None
+    camera_to_srgb: np.ndarray | None = None
+    noise_profile: np.ndarray | None = None
+    gain_map: tuple[GainMap, ...] | None = None
+    warp: WarpRectilinear | None = None
+    vignette: FixVignetteRadial | None = None
+    orientation: int = 1
+    iso: float | None = None
+    exposure_time: float | None = None
+    make: str = ""
+    model: str = ""
+    baseline_exposure: float = 0.0
+
+    @property
+    def shading(self) -> np.ndarray | None:
+        """(H, W) float32 gain of `gain_map` at every pixel of `mosaic`, or None."""
+        if self.gain_map is None:
+            return None
+        top, left, bottom, right = self.active_area
+        y, x, height, width = self.crop
+        return shading_gain(self.gain_map, (bottom - top, right - left))[y : y + height, x : x + width]
+
+
+def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
+    """Read a RAW file, or a mosaic in `NAME.raw.npy`.
+
+    Args:
+        path: any Bayer RAW that LibRaw opens.
+        description: overrides what the file states. A `.npy`, or a `.raw` without a header (which LibRaw
+            knows by nothing but its size), must have one: by default `[raw]` in the dataset.toml beside it.
+
+    Raises:
+        InputError: it cannot be read, is damaged or truncated, or is no Bayer mosaic (X-Trans,
+            monochrome, linear, Foveon).
+    """
+    path = check_file(path)
+    is_npy = path.suffix.lower() == ".npy"
+    bare = is_npy or _is_headerless(path)
+    if description is None:
+        description = _described_beside(path) if bare else RawDescription()
+    if bare and description.cfa is None:
+        raise InputError(f"{path}: states no colour filters, and [raw] in {description.source} has no cfa")
+    if is_npy:
+        return _read_npy(path, description)
+    _check_magic(path)
+    tags = dng.read_tags(path)
+    if tags is None and path.suffix.lower() == ".dng":
+        raise InputError(f"{path}: is not a DNG, or a damaged one (its TIFF tags cannot be read)")
+    if tags is not None and (tags.is_dng or path.suffix.lower() == ".dng"):
+        dng.check_dng(tags, path)
+        return _read_dng(path, tags, description)
+    return _read_other(path, tags, description)
+
+
+def embedded_jpeg(path: PathLike) -> bytes | None:
+    """The JPEG inside a RAW file, where it has one that is as large as the picture; else None."""
+    path = check_file(path)
+    with _opened(path) as raw:
+        try:
+            thumb = raw.extract_thumb()
+        except (rawpy.LibRawError, rawpy.NotSupportedError):
+            return None
+        size = sorted((raw.sizes.height, raw.sizes.width))
+    if thumb.format != rawpy.ThumbFormat.JPEG:
+        return None
+    try:
+        frame = frame_header(thumb.data)
+    except ValueError:
+        return None
+    full = all(abs(a - b) <= 16 + b // 50 for a, b in zip(sorted((frame.height, frame.width)), size))
+    return bytes(thumb.data) if full else None
+
+
+def _is_headerless(path: Path) -> bool:
+    """Whether it is a dump of pixels: `.raw` files of cameras begin as TIFF does."""
+    with path.open("rb") as file:
+        return path.suffix.lower() == ".raw" and file.read(2) not in (b"II", b"MM")
+
+
+def _described_beside(path: Path) -> RawDescription:
+    source = path.parent / "dataset.toml"
+    if not source.is_file():
+        raise InputError(
+            f"{path}: needs a dataset.toml beside it whose [raw] states the cfa, black and white"
+        )
+    return describe(read_toml(source).get("raw", {}), str(source))
+
+
+def _check_magic(path: Path) -> None:
+    with path.open("rb") as file:
+        head = file.read(8)
+    for magic, name in ((b"\xff\xd8\xff", "JPEG"), (b"\x89PNG", "PNG"), (b"\x93NUMPY", "NumPy")):
+        if head.startswith(magic):
+            raise InputError(f"{path}: is a {name} file, expected a RAW file")
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """rawpy on the file; what LibRaw raises becomes one line."""
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except (rawpy.LibRawError, rawpy.NotSupportedError, MemoryError) as error:
+        text = error.args[0] if error.args else type(error).__name__
+        text = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+        raise InputError(f"{path}: LibRaw cannot read it: {text.lower()}") from error
+
+
+def _check_bayer(raw: Any, path: Path) -> str:
+    """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
+    if raw.num_colors == 1:
+        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
+    if raw.raw_type != rawpy.RawType.Flat or raw.raw_image is None:
+        raise InputError(
+            f"{path}: holds full-colour pixels (linear, sRAW or Foveon), expected a Bayer mosaic"
+        )
+    pattern, names = raw.raw_pattern, raw.color_desc.decode()
+    if pattern is not None and pattern.shape == (6, 6):
+        raise InputError(f"{path}: is an X-Trans RAW, expected a Bayer mosaic")
+    if pattern is None or pattern.shape != (2, 2):
+        raise InputError(f"{path}: has no 2x2 colour filter array, expected a Bayer mosaic")
+    cfa = "".join(names[i] for i in pattern.ravel())
+    if cfa not in PATTERNS:
+        raise InputError(f"{path}: has colour filters {cfa}, expected one of {', '.join(PATTERNS)}")
+    return cfa
+
+
+def _read_dng(path: Path, tags: dng.DngTags, description: RawDescription) -> Raw:
+    area = dng.active_area(tags, path)
+    active = area[2] - area[0], area[3] - area[1]
+    crop = dng.default_crop(tags, active, path)
+    with _opened(path) as raw:
+        _check_bayer(raw, path)
+        if raw.raw_image.shape != (int(tags.raw[dng.HEIGHT]), int(tags.raw[dng.WIDTH])):
+            raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
+        levels = _cut(raw.raw_image[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
+        as_shot = _gains(raw.camera_whitebalance)
+    calibration = tags.calibration()
+    neutral = dng.neutral(tags, calibration, as_shot)
+    pattern = "".join("RGB"[i] for i in bytes(tags.raw[dng.CFA_PATTERN]))
+    bits = int(np.atleast_1d(tags.raw.get(dng.BITS, 16))[0])
+    raw_picture = Raw(
+        path=path,
+        mosaic=levels,
+        cfa=shifted(pattern, crop[0], crop[1]),
+        black=_cut(dng.black_levels(tags, active, path), crop),
+        white=tags.number(dng.WHITE) or 2.0**bits - 1,
+        white_balance=1 / neutral,
+        active_area=area,
+        crop=crop,
+        noise_profile=dng.noise_profile(tags),
+        baseline_exposure=tags.number(dng.BASELINE_EXPOSURE) or 0.0,
+        **dng.lens(tags, path),
+        **dng.header(tags),
+    )
+    if calibration is not None:
+        raw_picture = replace(
+            raw_picture,
+            calibration=calibration,
+            xyz_to_camera=calibration.at(white_xy(calibration, neutral))[0],
+            camera_to_srgb=camera_to_srgb(calibration, neutral),
+        )
+    return _finish(raw_picture, description)
+
+
+def _read_other(path: Path, tags: dng.DngTags | None, description: RawDescription) -> Raw:
+    with _opened(path) as raw:
+        cfa, sizes = _check_bayer(raw, path), raw.sizes
+        crop = _inset(sizes)
+        levels = _cut(raw.raw_image_visible, crop).astype(np.float32)
+        cell = np.roll(raw.raw_pattern, (-crop[0], -crop[1]), (0, 1))
+        black = np.array(raw.black_level_per_channel, np.float32)[cell]
+        rgb = [raw.color_desc.decode().index(name) for name in "RGB"]
+        matrix = np.array(raw.rgb_xyz_matrix, np.float64)[rgb]
+        raw_picture = Raw(
+            path=path,
+            mosaic=levels,
+            cfa=shifted(cfa, crop[0], crop[1]),
+            black=black,
+            white=float(raw.white_level),
+            white_balance=_gains(raw.camera_whitebalance),
+            active_area=(
+                sizes.top_margin,
+                sizes.left_margin,
+                sizes.top_margin + sizes.height,
+                sizes.left_margin + sizes.width,
+            ),
+            crop=crop,
+            orientation=_FLIP_TO_EXIF.get(sizes.flip, 1),
+            iso=float(raw.other.iso_speed) or None,
+        )
+    if tags is not None:
+        raw_picture = replace(raw_picture, **{k: v for k, v in dng.header(tags).items() if v})
+    if usable(matrix) and not _is_headerless(path):
+        raw_picture = replace(raw_picture, xyz_to_camera=matrix, camera_to_srgb=camera_to_srgb_d65(matrix))
+    return _finish(raw_picture, description)
+
+
+def _inset(sizes: Any) -> tuple[int, int, int, int]:
+    """Top, left, height, width in the visible area of the camera's own crop, where that is sound."""
+    top, left = sizes.crop_top_margin - sizes.top_margin, sizes.crop_left_margin - sizes.left_margin
+    height, width = sizes.crop_height, sizes.crop_width
+    inside = top >= 0 and left >= 0 and top + height <= sizes.height and left + width <= sizes.width
+    if inside and 2 * height > sizes.height and 2 * width > sizes.width:
+        return top, left, height, width
+    return 0, 0, sizes.height, sizes.width
+
+
+def _read_npy(path: Path, description: RawDescription) -> Raw:
+    mosaic = load_npy(path)
+    if mosaic.ndim == 4 and mosaic.shape[:2] == (1, 1):
+        mosaic = mosaic[0, 0]
+    if mosaic.ndim != 2 or min(mosaic.shape) < 2 or mosaic.dtype.kind not in "uif":
+        raise InputError(
+            f"{path}: holds {mosaic.dtype} {mosaic.shape}, expected a mosaic (H, W) or (1, 1, H, W)"
+        )
+    assert description.cfa is not None
+    integers = mosaic.dtype.kind in "ui"
+    raw = Raw(
+        path=path,
+        mosaic=mosaic.astype(np.float32),
+        cfa=description.cfa,
+        black=np.zeros((2, 2), np.float32),
+        white=float(np.iinfo(mosaic.dtype).max) if integers else 1.0,
+        white_balance=np.ones(3),
+        active_area=(0, 0, *mosaic.shape),
+        crop=(0, 0, *mosaic.shape),
+        white_balanced=description.white_balanced,
+    )
+    return _finish(raw, description)
+
+
+def _finish(raw: Raw, description: RawDescription) -> Raw:
+    """Apply the description, subtract black, scale white to 1. `raw.black` is a cell or a plane so far."""
+    black = raw.black
+    if description.black is not None:
+        black = np.broadcast_to(description.black, 4).reshape(2, 2).astype(np.float32)
+    white = raw.white if description.white is None else description.white
+    if not black.max() < white:
+        raise InputError(
+            f"{raw.path}: has a white level of {white:g} that is not above its black of {black.max():g}"
+        )
+    out = raw.mosaic
+    check_finite(str(raw.path), out)
+    for y in (0, 1):
+        for x in (0, 1):
+            level = black[y::2, x::2]
+            out[y::2, x::2] = (out[y::2, x::2] - level) / (np.float32(white) - level)
+    balance = raw.white_balance if description.white_balance is None else description.white_balance
+    return replace(
+        raw,
+        cfa=description.cfa or raw.cfa,
+        black=np.array([black[y::2, x::2].mean(dtype=np.float64) for y in (0, 1) for x in (0, 1)]),
+        white=float(white),
+        white_balance=balance / balance[1],
+        white_balanced=description.white_balanced,
+    )
+
+
+def _cut(array: np.ndarray, crop: tuple[int, int, int, int]) -> np.ndarray:
+    top, left, height, width = crop
+    return array[top : top + height, left : left + width]
+
+
+def _gains(values: Any) -> np.ndarray:
+    """LibRaw's multipliers with green 1; ones where it has none."""
+    gains = np.array(values[:3], np.float64)
+    return gains / gains[1] if np.isfinite(gains).all() and gains.min() > 0 else np.ones(3)

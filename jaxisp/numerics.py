@@ -1,0 +1,83 @@
+"""Gradient-safe primitives: total functions, surrogate gradients, and what keeps XLA fast."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+
+def materialize(x: Any) -> Any:
+    """Make the CPU backend store `x` before it goes on; the identity elsewhere and to gradients.
+
+    Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
+    `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
+    """
+
+    def store(value: Any) -> Any:
+        # the branches hold a barrier because JAX removes a cond whose branches return what they were given
+        barrier = lax.optimization_barrier
+        return lax.cond(barrier(True), barrier, barrier, value)
+
+    return lax.platform_dependent(x, cpu=store, default=lambda v: v)
+
+
+def safe_pow(x: jax.Array, exponent: Any) -> jax.Array:
+    """max(x, 0)**exponent with a finite gradient at and below 0 (it is 0 there)."""
+    positive = x > 0
+    return jnp.where(positive, jnp.where(positive, x, 1.0) ** exponent, 0.0)
+
+
+def safe_sqrt(x: jax.Array) -> jax.Array:
+    """sqrt(max(x, 0)) with a finite gradient at and below 0 (it is 0 there)."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
+def safe_divide(a: Any, b: jax.Array, tiny: float = 1e-12) -> jax.Array:
+    """a / b where |b| > tiny, else 0, with finite gradients."""
+    ok = jnp.abs(b) > tiny
+    return jnp.where(ok, a / jnp.where(ok, b, 1.0), 0.0)
+
+
+def straight_through(hard: jax.Array, soft: jax.Array) -> jax.Array:
+    """The value of `hard` with the gradient of `soft`."""
+    # selecting instead of soft + (hard - soft) keeps the value exact
+    return _pass(soft, lax.stop_gradient(hard))
+
+
+@jax.custom_jvp
+def _pass(soft: jax.Array, hard: jax.Array) -> jax.Array:
+    return hard
+
+
+@_pass.defjvp
+def _pass_jvp(primals: Any, tangents: Any) -> Any:
+    return primals[1], tangents[0]
+
+
+def round_through(x: jax.Array) -> jax.Array:
+    """Round half to even; the gradient is 1 (straight-through)."""
+    return straight_through(jnp.round(x), x)
+
+
+def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Array:
+    """Clip; the gradient is 1 inside and `leak` outside, so that a fitter can leave a clipped region."""
+    soft = leak * x + (1 - leak) * jnp.clip(x, low, high) if leak else jnp.clip(x, low, high)
+    return straight_through(jnp.clip(x, low, high), soft)
+
+
+def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:
+    """Apply a function of an (H, W) plane to a mosaic, or to each channel of an (H, W, C) image.
+
+    The channels go first: neighbourhood code on an interleaved array is 8x slower.
+    """
+    if image.ndim == 2:
+        return fn(image)
+    return jnp.moveaxis(jax.vmap(fn)(jnp.moveaxis(image, -1, 0)), 0, -1)
+
+
+def planes(image: jax.Array) -> tuple[jax.Array, ...]:
+    """The channels of (H, W, C) as a tuple of (H, W)."""
+    return tuple(image[..., c] for c in range(image.shape[-1]))

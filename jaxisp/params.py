@@ -1,0 +1,162 @@
+"""Parameters: frozen dataclasses of float leaves that carry their bounds, unit and scale.
+
+Everything that is "per parameter" (values, specs, priors, gradients, `in_axes`, error bars) is a
+tree of the same shape, so one `jax.tree.map` does each job. Nothing is validated in a constructor:
+JAX rebuilds these objects with tracers. `jaxisp.checks` validates on the host.
+"""
+
+import dataclasses
+import functools
+from typing import Any, Literal, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+T = TypeVar("T")
+Tree = Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Spec:
+    """What a parameter is: its default, its inclusive bounds, its unit, and the scale to vary it on.
+
+    `bounds` say what is valid, for every element; priors say what is drawn. A vector with
+    `any_length` may be longer or shorter than its default.
+    """
+
+    default: Any
+    bounds: tuple[float, float]
+    unit: str
+    scale: Literal["linear", "log"]
+    doc: str
+    any_length: bool = False
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return np.shape(self.default)
+
+
+def param(
+    default: Any,
+    bounds: tuple[float, float],
+    unit: str,
+    *,
+    log: bool = False,
+    doc: str = "",
+    any_length: bool = False,
+) -> Any:
+    """Declare a field of a `@parameters` class.
+
+    Args:
+        default: a number, or nested tuples of numbers for a vector or matrix.
+        bounds: smallest and largest valid value, finite, both included.
+        unit: "px", "EV", "K", "1" for a ratio, "level" for a share of the white level, ...
+        log: vary it on a logarithmic scale (bounds must be positive).
+        doc: one line for help texts.
+        any_length: a vector whose length the user chooses.
+    """
+    low, high = bounds
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise ValueError(f"param: bounds {bounds} must be finite and increasing")
+    if log and low <= 0:
+        raise ValueError(f"param: a log scale needs a positive lower bound, got {low}")
+    if np.min(default) < low or np.max(default) > high:
+        raise ValueError(f"param: default {default} is outside {bounds}")
+    spec = Spec(default, (float(low), float(high)), unit, "log" if log else "linear", doc, any_length)
+    return dataclasses.field(
+        default_factory=functools.partial(np.asarray, default, np.float32), metadata={"spec": spec}
+    )
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(dataclasses.field,))
+def parameters(cls: type[T]) -> type[T]:
+    """Make a class of `param` fields a frozen, keyword-only dataclass and a JAX pytree."""
+    cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False)(cls)
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        if "spec" not in field.metadata:
+            raise TypeError(f"{cls.__name__}.{field.name}: declare it with param(...)")
+    return jax.tree_util.register_dataclass(cls)
+
+
+def is_parameters(value: Any) -> bool:
+    """Whether `value` is an instance of a `@parameters` class."""
+    return dataclasses.is_dataclass(value) and any("spec" in f.metadata for f in dataclasses.fields(value))
+
+
+def specs(cls: type) -> dict[str, Spec]:
+    """The specs of a `@parameters` class by field name."""
+    return {f.name: f.metadata["spec"] for f in dataclasses.fields(cls)}
+
+
+def spec_tree(tree: Tree) -> Tree:
+    """A tree of the same shape as `tree` (parameters, or a dict of them) whose leaves are `Spec`s."""
+    if isinstance(tree, dict):
+        return {name: spec_tree(value) for name, value in tree.items()}
+    return type(tree)(**specs(type(tree)))
+
+
+def map_specs(fn: Any, tree: Tree, *rest: Tree) -> Tree:
+    """`fn(spec, leaf, *leaves)` over a parameter tree and others of its shape.
+
+    A leaf is whatever stands in a parameter's field, so priors and None pass through whole.
+    """
+    if isinstance(tree, dict):
+        return {name: map_specs(fn, value, *(r[name] for r in rest)) for name, value in tree.items()}
+    return type(tree)(
+        **{
+            name: fn(spec, getattr(tree, name), *(getattr(r, name) for r in rest))
+            for name, spec in specs(type(tree)).items()
+        }
+    )
+
+
+def strong(tree: Tree) -> Tree:
+    """The tree with strongly typed float32 leaves (a Python float would cost a second trace)."""
+    return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else np.asarray(x, np.float32), tree)
+
+
+def to_unbounded(tree: Tree, margin: float = 1e-4) -> Tree:
+    """Map parameters from their bounds to the real line (logit on the field's scale).
+
+    Values closer to a bound than `margin` of the range are moved to that distance, which keeps
+    the result finite.
+    """
+
+    def forward(spec: Spec, value: Any) -> jax.Array:
+        low, high, value = _scaled(spec, jnp.asarray(value))
+        share = jnp.clip((value - low) / (high - low), margin, 1 - margin)
+        return jnp.log(share) - jnp.log1p(-share)
+
+    return map_specs(forward, tree)
+
+
+def to_bounded(tree: Tree) -> Tree:
+    """The inverse of `to_unbounded`."""
+
+    def inverse(spec: Spec, value: Any) -> jax.Array:
+        low, high, _ = _scaled(spec, jnp.ones(()))
+        scaled = low + (high - low) * jax.nn.sigmoid(value)
+        # the last bit of exp or of the sum may step over a bound
+        return jnp.clip(jnp.exp(scaled) if spec.scale == "log" else scaled, *spec.bounds)
+
+    return map_specs(inverse, tree)
+
+
+def _scaled(spec: Spec, value: jax.Array) -> tuple[Any, Any, jax.Array]:
+    low, high = spec.bounds
+    if spec.scale == "log":
+        return np.log(low), np.log(high), jnp.log(jnp.clip(value, low, high))
+    return low, high, value
+
+
+def batch_axes(tree: Tree) -> Tree:
+    """`in_axes` for `vmap`: 0 where a leaf has one more axis than its spec, None where it is shared."""
+
+    def axis(spec: Spec, value: Any) -> int | None:
+        extra = np.ndim(value) - len(spec.shape)
+        if extra not in (0, 1):
+            raise ValueError(f"a parameter of shape {spec.shape} got a value of shape {np.shape(value)}")
+        return 0 if extra else None
+
+    return map_specs(axis, tree)

@@ -1,0 +1,147 @@
+"""A recipe: a pipeline with priors, jitted over batches, in and out of TOML."""
+
+import dataclasses
+import functools
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import tomli_w
+from jax.typing import ArrayLike
+
+from jaxisp.errors import InputError
+from jaxisp.io.files import atomic_write
+from jaxisp.params import batch_axes
+from jaxisp.priors import check_prior, draw
+from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
+from jaxisp.stage import Chain, sample_keys
+
+Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recipe:
+    """A pipeline, what its parameters are drawn from, and what it is for.
+
+    Two recipes are equal where their TOML is, and then share one compile.
+    """
+
+    chain: Chain
+    prior: dict[str, Any]
+    description: str = ""
+    meta: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Where it comes from and how it is meant: plain TOML values that no computation needs."""
+
+    def __post_init__(self) -> None:
+        missing = set(self.chain.init()) - set(self.prior)
+        object.__setattr__(self, "prior", {**{n: self.chain.init()[n] for n in missing}, **self.prior})
+        check_prior(self.prior)
+
+    @property
+    def name(self) -> str:
+        return self.chain.name
+
+    @functools.cached_property
+    def _text(self) -> str:
+        return self.to_toml()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Recipe) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def draw(self, key: jax.Array) -> dict[str, Any]:
+        """One draw of the parameters."""
+        return draw(key, self.prior)
+
+    def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
+        """Degrade a batch on the device, with one draw of the parameters an image.
+
+        Image i depends on the key and on its index, start + i, alone: its bits are the same at any batch size.
+
+        Args:
+            key: a JAX key, as `jax.random.key(0)`.
+            images: (N, H, W, 3) float32, encoded sRGB in [0, 1].
+            start: the global index of the first image, or (N,) indices.
+
+        Returns:
+            noisy (N, H, W, 3) float32 encoded sRGB, clean (the images), and the drawn parameters,
+            one more axis a leaf.
+
+        Raises:
+            TypeError: images are not (N, H, W, 3) floats.
+        """
+        shape = jnp.shape(images)
+        if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
+            raise TypeError(
+                f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {jnp.result_type(images)}{shape}"
+            )
+        return _degrade(self, key, jnp.asarray(images), start)
+
+    def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
+        """Degrade again with parameters drawn before: the same bits for the same key and start."""
+        return _repeat(self, key, params, jnp.asarray(images), start)
+
+    def to_toml(self) -> str:
+        """The recipe as TOML; `from_toml` reads it back equal."""
+        head: dict[str, Any] = {"name": self.name, "description": self.description}
+        if self.meta:
+            head["meta"] = self.meta
+        nodes = [encode_node(n) for n in self.chain.nodes]
+        return tomli_w.dumps({**head, "stages": nodes, "params": encode_params(self.prior)})
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
+        """Read a recipe. Raises InputError that names `source` and what is wrong."""
+        try:
+            table = tomllib.loads(text)
+            unknown = set(table) - {"name", "description", "meta", "stages", "params"}
+            if unknown or not isinstance(table.get("stages"), list):
+                raise InputError(
+                    f"a recipe has name, description, meta, stages and params; got {sorted(table)}"
+                )
+            nodes = tuple(decode_node(t) for t in table["stages"])
+            chain = Chain(nodes, str(table.get("name", "recipe")))
+            params = decode_params(table.get("params", {}), chain)
+            return cls(chain, params, str(table.get("description", "")), table.get("meta", {}))
+        except (tomllib.TOMLDecodeError, ValueError) as error:
+            raise InputError(f"{source}: {error}") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the TOML file, whole or not at all."""
+        with atomic_write(path) as file:
+            file.write(self.to_toml().encode())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Recipe":
+        """Read a TOML file. Raises InputError where it is missing or wrong."""
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: cannot be read as TOML ({error})") from None
+        return cls.from_toml(text, str(path))
+
+
+def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
+    """Per sample, one key for its parameters and one for its noise."""
+    indices = start + jnp.arange(count) if jnp.ndim(start) == 0 else start
+    own = sample_keys(key, indices)
+    fold = jax.vmap(jax.random.fold_in, in_axes=(0, None))
+    return fold(own, 0), fold(own, 1)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
+    drawing, _ = _keys(key, start, len(images))
+    params = jax.vmap(recipe.draw)(drawing)
+    return _repeat(recipe, key, params, images, start), images, params
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _repeat(recipe: Recipe, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
+    _, noise = _keys(key, start, len(images))
+    one = lambda p, x, k: recipe.chain(p, x, key=k)  # noqa: E731
+    return jax.vmap(one, in_axes=(batch_axes(params), 0, 0))(params, images, noise)

@@ -1,0 +1,163 @@
+"""The built-in recipes: the paper's training sets (Jaroensri et al. 2019, table 1 and section 4.1).
+
+Noise ranges are the paper's, drawn uniformly. The ranges of denoising, sharpening and compression
+are those of the authors' configuration, which the paper does not print, with the laws stated there.
+Where the two disagree (noise), the code's ranges have a recipe of their own, `phone-authors-code`.
+Work is done in linear light, as there; what goes in and comes out is encoded sRGB.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from jaxisp.errors import InputError
+from jaxisp.priors import Choice, LogUniform, PowerUniform, Uniform
+from jaxisp.recipe import Recipe
+from jaxisp.stage import Chain, stage
+from jaxisp.stages.denoise.bilateral import Bilateral
+from jaxisp.stages.detail import UnsharpMask
+from jaxisp.stages.jpeg import JpegPhotoshop
+from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
+from jaxisp.stages.sensor import AdcQuantization
+
+CFA = "GRBG"
+PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))  # type: ignore[arg-type]
+CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))  # type: ignore[arg-type]
+
+# The authors filter on a bilateral grid of 2-px cells and 1/32-level bins, cut at one sigma. These are
+# the standard deviations that come of it, interpolation in the grid included: 1.0 to 1.8 px and 0.018 to
+# 0.029 for luma. Their chroma reaches 34 px; ours is cut at 10, which a window of 8 px flattens further.
+BILATERAL = Bilateral(
+    luma_sigma_space=LogUniform(1.0, 1.8),  # type: ignore[arg-type]
+    luma_sigma_range=LogUniform(0.018, 0.029),  # type: ignore[arg-type]
+    chroma_sigma_space=LogUniform(2.2, 10.0),  # type: ignore[arg-type]
+    chroma_sigma_range=0.02,  # type: ignore[arg-type]
+    guide_gamma=0.5,  # type: ignore[arg-type]
+)
+
+
+def awgn() -> Recipe:
+    """White Gaussian noise in linear light, std 0 to 0.2."""
+    prior = {"gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.2))}  # type: ignore[arg-type]
+    return _recipe("awgn", "white Gaussian noise, std 0 to 0.2", ("gaussian_noise",), prior)
+
+
+def amwgn() -> Recipe:
+    """Additive and multiplicative white Gaussian noise: read 0 to 0.1, Poisson factor 0 to 0.02."""
+    text = "white noise whose variance grows with the signal: read std 0 to 0.1, Poisson factor 0 to 0.02"
+    return _recipe("amwgn", text, ("shot_read_noise",), {"shot_read_noise": PAPER_NOISE})
+
+
+def phone() -> Recipe:
+    """The paper's phone: noise, mosaic, Kodak demosaicking, median and bilateral, unsharp mask, JPEG."""
+    return _phone("phone", "the paper's phone pipeline: noise, demosaicking, denoising, post-processing")
+
+
+def phone_no_post() -> Recipe:
+    """Ablation: no sharpening and no JPEG."""
+    return _phone("phone-no-post", "ablation: no post-processing", drop=("unsharp_mask", "jpeg_photoshop"))
+
+
+def phone_no_denoise() -> Recipe:
+    """Ablation: no median and no bilateral filter."""
+    return _phone("phone-no-denoise", "ablation: no denoising", drop=("median", "bilateral"))
+
+
+def phone_no_demosaic() -> Recipe:
+    """Ablation: noise on all three channels of every pixel."""
+    drop = ("mosaic", "demosaic_hibbard")
+    return _phone("phone-no-demosaic", "ablation: no mosaic and no demosaicking", drop=drop)
+
+
+def phone_kodak() -> Recipe:
+    """Demosaicking alone, by Hibbard 1995."""
+    return _demosaic_only("phone-kodak", "demosaic_hibbard")
+
+
+def phone_ahd() -> Recipe:
+    """Demosaicking alone, by Hirakawa & Parks 2005."""
+    return _demosaic_only("phone-ahd", "demosaic_ahd")
+
+
+def phone_bilinear() -> Recipe:
+    """Demosaicking alone, bilinear."""
+    return _demosaic_only("phone-bilinear", "demosaic_bilinear")
+
+
+def phone_authors_code() -> Recipe:
+    """`phone` with the noise of the authors' configuration file: Poisson factor 0.01 to 0.2, log-uniform."""
+    text = "phone with the noise ranges of the authors' code: log-uniform, ten times the Poisson factor"
+    return _phone("phone-authors-code", text, noise=CODE_NOISE)
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    make.__name__.replace("_", "-"): make
+    for make in (
+        awgn,
+        amwgn,
+        phone,
+        phone_no_post,
+        phone_no_denoise,
+        phone_no_demosaic,
+        phone_bilinear,
+        phone_ahd,
+        phone_kodak,
+        phone_authors_code,
+    )
+}
+"""The built-in recipes by the name that the command line takes."""
+
+
+def find_recipe(name: str) -> Recipe:
+    """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none."""
+    if name in RECIPES:
+        return RECIPES[name]()
+    if not name.endswith(".toml"):
+        raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
+    return Recipe.load(name)
+
+
+def _recipe(name: str, description: str, middle: tuple[Any, ...], prior: dict[str, Any]) -> Recipe:
+    """Stages in linear light between decoding and encoding, and 8 bits at the end."""
+    named = (stage(s) if isinstance(s, str) else s for s in middle)
+    nodes = (stage("srgb_eotf"), *named, stage("clip"), stage("srgb_oetf"), stage("rounding"))
+    return Recipe(Chain(nodes, name), prior, description)
+
+
+def _phone(
+    name: str, description: str, *, drop: tuple[str, ...] = (), noise: ShotReadNoise = PAPER_NOISE
+) -> Recipe:
+    nodes = (
+        stage("srgb_eotf"),
+        stage("mosaic", cfa=CFA),
+        stage("shot_read_noise"),
+        stage("clip", name="sensor_clip"),
+        stage("adc_quantization"),
+        stage("demosaic_hibbard", cfa=CFA),
+        stage("median", footprint="cross"),
+        stage("bilateral", chroma_radius=8),
+        stage("unsharp_mask"),
+        stage("clip"),
+        stage("srgb_oetf"),
+        stage("rounding"),
+        stage("jpeg_photoshop"),
+    )
+    prior = {
+        "shot_read_noise": noise,
+        "adc_quantization": AdcQuantization(bits=14.0),  # type: ignore[arg-type]
+        "bilateral": BILATERAL,
+        "unsharp_mask": UnsharpMask(amount=Uniform(0.0, 0.25), sigma=4.0, threshold=3 / 255),  # type: ignore[arg-type]
+        "jpeg_photoshop": JpegPhotoshop(level=Choice((4, 5, 6, 7))),  # type: ignore[arg-type]
+    }
+    kept = {name: values for name, values in prior.items() if name not in drop}
+    return Recipe(Chain(tuple(n for n in nodes if n.name not in drop), name), kept, description)
+
+
+def _demosaic_only(name: str, demosaic: str) -> Recipe:
+    middle = (
+        stage("mosaic", cfa=CFA),
+        stage("shot_read_noise"),
+        stage("clip", name="sensor_clip"),
+        stage(demosaic, cfa=CFA),
+    )
+    text = f"noise and {demosaic.removeprefix('demosaic_')} demosaicking alone, 8 bits"
+    return _recipe(name, text, middle, {"shot_read_noise": PAPER_NOISE})

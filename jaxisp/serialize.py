@@ -1,0 +1,134 @@
+"""Pipelines, parameters and priors as plain tables for TOML, and back unchanged.
+
+A node is `{stage = "jpeg", name = "...", options = {...}}`, `{gate = NODE}`, `{shuffle = [NODE, ...]}`
+or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distribution:
+`{log_uniform = [0.01, 0.1]}`. Reading runs no code: stages are looked up in the registry.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import jaxisp.stages  # noqa: F401  (fills the registry)
+from jaxisp.checks import check_params
+from jaxisp.errors import InputError
+from jaxisp.params import specs
+from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
+from jaxisp.stage import Chain, Gate, Node, Shuffle, Stage, stage
+
+Table = dict[str, Any]
+_KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
+
+
+def encode_node(node: Node) -> Table:
+    """A node as a table."""
+    if isinstance(node, Stage):
+        table: Table = {"stage": node.fn.__name__}
+        if node.name != node.fn.__name__:
+            table["name"] = node.name
+        return table | ({"options": {n: _plain(v) for n, v in node.static}} if node.static else {})
+    if isinstance(node, Gate):
+        return {"gate": encode_node(node.node), "name": node.name}
+    kind = {Chain: "chain", Shuffle: "shuffle"}[type(node)]
+    return {kind: [encode_node(n) for n in node.nodes], "name": node.name}  # type: ignore[attr-defined]
+
+
+def decode_node(table: Any) -> Node:
+    """The node of a table. Raises InputError where a stage or an option is unknown."""
+    if not isinstance(table, dict):
+        raise InputError(f"a stage must be a table like {{stage = 'jpeg'}}, got {table!r}")
+    kinds = [k for k in ("stage", "gate", "shuffle", "chain") if k in table]
+    unknown = set(table) - {"stage", "gate", "shuffle", "chain", "name", "options"}
+    if len(kinds) != 1 or unknown:
+        raise InputError(f"a stage must have one of stage, gate, shuffle, chain; got {sorted(table)}")
+    try:
+        return _DECODERS[kinds[0]](table)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(str(error.args[0])) from None
+
+
+def _decode_stage(table: Table) -> Node:
+    return stage(table["stage"], name=table.get("name"), **table.get("options", {}))
+
+
+def _named(kind: Callable[..., Node], inner: Any, table: Table) -> Node:
+    return kind(inner, table["name"]) if "name" in table else kind(inner)
+
+
+_DECODERS: dict[str, Callable[[Table], Node]] = {
+    "stage": _decode_stage,
+    "gate": lambda t: _named(Gate, decode_node(t["gate"]), t),
+    "shuffle": lambda t: _named(Shuffle, tuple(map(decode_node, t["shuffle"])), t),
+    "chain": lambda t: _named(Chain, tuple(map(decode_node, t["chain"])), t),
+}
+
+
+def encode_params(tree: dict[str, Any]) -> Table:
+    """Parameters or priors by stage name as tables."""
+    return {
+        name: {f: _encode_leaf(getattr(values, f)) for f in specs(type(values))}
+        for name, values in tree.items()
+    }
+
+
+def decode_params(tables: Any, node: Node) -> dict[str, Any]:
+    """The parameters or priors of a node; what the tables leave out keeps its default.
+
+    Raises:
+        InputError: an unknown stage or parameter, a value out of bounds, or a broken distribution.
+    """
+    tree = node.init()
+    if not isinstance(tables, dict):
+        raise InputError(f"params must be tables by stage name, got {tables!r}")
+    for name, table in tables.items():
+        if name not in tree:
+            raise InputError(f"params.{name}: the pipeline has no stage of that name; it has {sorted(tree)}")
+        known = specs(type(tree[name]))
+        if not isinstance(table, dict) or set(table) - set(known):
+            raise InputError(f"params.{name}: takes {sorted(known)}, got {table!r}")
+        read = {field: _decode_leaf(f"{name}.{field}", value) for field, value in table.items()}
+        tree[name] = dataclasses.replace(tree[name], **read)
+    constants = {n: _constants(v) for n, v in tree.items()}
+    check_params(constants, batched=False)
+    return check_prior(tree)
+
+
+def _constants(values: Any) -> Any:
+    """The parameters with the default wherever a distribution stands."""
+    return dataclasses.replace(
+        values,
+        **{f: s.default for f, s in specs(type(values)).items() if is_distribution(getattr(values, f))},
+    )
+
+
+def _encode_leaf(value: Any) -> Any:
+    if not is_distribution(value):
+        return _plain(np.asarray(value, np.float32))
+    arguments = value.values if isinstance(value, Choice) else dataclasses.astuple(value)
+    return {_KINDS[type(value)]: list(arguments)}
+
+
+def _decode_leaf(path: str, value: Any) -> Any:
+    try:
+        if not isinstance(value, dict):
+            return np.asarray(value, np.float32)
+        ((kind, arguments),) = value.items()
+        numbers = [float(a) for a in arguments]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("not finite")
+        return Choice(tuple(numbers)) if kind == "choice" else DISTRIBUTIONS[kind](*numbers)
+    except (KeyError, TypeError, ValueError):
+        kinds = ", ".join(DISTRIBUTIONS)
+        raise InputError(
+            f"{path} = {value!r}: give a number, an array, or one of {kinds} with its numbers"
+        ) from None
+
+
+def _plain(value: Any) -> Any:
+    """Nested lists of Python numbers; a float32 by its shortest decimal, which reads back the same."""
+    if (isinstance(value, np.ndarray) and value.ndim) or isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return float(str(value)) if isinstance(value, np.floating | np.ndarray) else value

@@ -1,0 +1,42 @@
+"""Every stage of the package. Importing this fills `STAGES`, the registry by name."""
+
+from jaxisp.stage import REGISTRY
+from jaxisp.stages import (
+    auto,
+    balance,
+    defects,
+    demosaic,
+    denoise,
+    detail,
+    jpeg,
+    noise,
+    optics,
+    resampling,
+    rounding,
+    sensor,
+    spaces,
+    tone,
+    transfer,
+)
+
+STAGES = REGISTRY
+"""Stage functions by name; `jaxisp.stage.register` adds to it."""
+
+__all__ = [
+    "STAGES",
+    "auto",
+    "balance",
+    "defects",
+    "demosaic",
+    "denoise",
+    "detail",
+    "jpeg",
+    "noise",
+    "optics",
+    "resampling",
+    "rounding",
+    "sensor",
+    "spaces",
+    "tone",
+    "transfer",
+]

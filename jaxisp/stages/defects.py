@@ -1,0 +1,142 @@
+"""Defective photosites: hot and dead pixels, and their correction."""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxisp.domains import Mosaic
+from jaxisp.numerics import straight_through
+from jaxisp.params import param, parameters
+from jaxisp.stage import register
+from jaxisp.stages.noise import pattern_key
+from jaxisp.windows import pad, square, views
+
+
+@parameters
+class HotPixels:
+    """How many, and what they read."""
+
+    density: jax.Array = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
+    level: jax.Array = param(1.0, (0.1, 2.0), "level", doc="what a hot photosite reads")
+
+
+@register
+def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int | None = None) -> Mosaic:
+    """Set photosites at random places to a high level.
+
+    `y = level where u < density else x`, u uniform on [0, 1) per photosite: more density keeps the
+    places that are hot already.
+
+    Args:
+        params: density and level.
+        image: (H, W) linear light, any range.
+        key: draws the places.
+        sensor: a serial number that fixes the places whatever the key; None draws them from the key.
+
+    Returns:
+        (H, W) linear light.
+
+    Gradient: surrogate for the density (that of the expected image, `level - x` at every photosite);
+    exact to the level and the image.
+
+    Source: Jaroensri et al. 2019, section 3.1 (defects).
+    """
+    return _stuck(image, pattern_key(key, sensor, "hot_pixels"), params.density, params.level)
+
+
+@parameters
+class DeadPixels:
+    """How many, and what they read."""
+
+    density: jax.Array = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
+    level: jax.Array = param(0.0, (-0.1, 0.1), "level", doc="what a dead photosite reads")
+
+
+@register
+def dead_pixels(params: DeadPixels, image: Mosaic, *, key: jax.Array, sensor: int | None = None) -> Mosaic:
+    """Set photosites at random places to a low level.
+
+    `y = level where u < density else x`, u uniform on [0, 1) per photosite.
+
+    Args:
+        params: density and level.
+        image: (H, W) linear light, any range.
+        key: draws the places.
+        sensor: a serial number that fixes the places whatever the key; None draws them from the key.
+
+    Returns:
+        (H, W) linear light.
+
+    Gradient: surrogate for the density (that of the expected image, `level - x` at every photosite);
+    exact to the level and the image.
+
+    Source: Jaroensri et al. 2019, section 3.1 (defects).
+    """
+    return _stuck(image, pattern_key(key, sensor, "dead_pixels"), params.density, params.level)
+
+
+def _stuck(image: jax.Array, key: jax.Array, density: jax.Array, level: jax.Array) -> jax.Array:
+    chosen = jax.random.uniform(key, image.shape) < density
+    moved = level.astype(image.dtype) - image
+    exact = jnp.where(chosen, level.astype(image.dtype), image)
+    # zero in value; its gradient to the density is that of the mean over all draws
+    expected = straight_through(jnp.zeros_like(density), density).astype(image.dtype)
+    return exact + expected * lax.stop_gradient(moved)
+
+
+@parameters
+class DefectCorrection:
+    """What counts as a defect."""
+
+    threshold: jax.Array = param(0.2, (0.0, 1.0), "level", doc="distance from the median that is left alone")
+
+
+@register
+def defect_correction(params: DefectCorrection, image: Mosaic) -> Mosaic:
+    """Replace photosites that stand out among their neighbours of the same colour.
+
+    `y = m where |x - m| > threshold else x`, m the median of the 3x3 same-colour photosites two pixels
+    apart, the photosite itself included; the two greens are kept apart, so any Bayer pattern will do.
+
+    Args:
+        params: threshold, in the unit of the image.
+        image: (H, W) linear light, any range.
+
+    Returns:
+        (H, W) linear light. Borders are reflected, which keeps the phase of the pattern.
+
+    Gradient: surrogate for the choice (a logistic gate 5 % of the threshold wide); that of the median is
+    exact: it goes to the neighbour that is the median, shared among equals.
+
+    Source: Jaroensri et al. 2019, section 3.2; Paeth 1990 and Smith 1996 (median of 9 by comparisons).
+    """
+    middle = _median(image)
+    excess = jnp.abs(image - middle) - params.threshold
+    soft = jax.nn.sigmoid(excess / (0.05 * params.threshold + 1e-4))
+    gate = straight_through((excess > 0).astype(image.dtype), soft)
+    return straight_through(jnp.where(excess > 0, middle, image), image + gate * (middle - image))
+
+
+def _median(plane: jax.Array) -> jax.Array:
+    """The median of the 3x3 same-colour photosites around each."""
+    padded = pad(plane, 2)
+    middle = lax.stop_gradient(_median_network(padded))
+    taps = views(padded, [(2 * dy, 2 * dx) for dy, dx in square(1)], 2)
+    hits = [lax.stop_gradient((tap == middle).astype(plane.dtype)) for tap in taps]
+    # taking the gradient here and not through the network saves its 40 comparisons on the way back
+    shared = sum((h * t for h, t in zip(hits, taps)), jnp.zeros_like(plane))
+    return straight_through(middle, shared / sum(hits))
+
+
+def _median_network(padded: jax.Array) -> jax.Array:
+    """(H, W) of an (H + 4, W + 4) plane: columns sorted once, then the middle of the three middles."""
+    columns = lax.optimization_barrier(_sort3(*views(padded, [(-2, 0), (0, 0), (2, 0)], (2, 0))))
+    low, mid, high = (views(rank, [(0, -2), (0, 0), (0, 2)], (0, 2)) for rank in columns)
+    largest_low = jnp.maximum(jnp.maximum(low[0], low[1]), low[2])
+    smallest_high = jnp.minimum(jnp.minimum(high[0], high[1]), high[2])
+    return _sort3(largest_low, _sort3(*mid)[1], smallest_high)[1]
+
+
+def _sort3(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    low, high = jnp.minimum(a, b), jnp.maximum(a, b)
+    return jnp.minimum(low, c), jnp.maximum(low, jnp.minimum(high, c)), jnp.maximum(high, c)

@@ -1,0 +1,17 @@
+"""Demosaicking: mosaic to camera RGB, by five algorithms, and the median that cleans up after them."""
+
+from jaxisp.stages.demosaic.ahd import demosaic_ahd
+from jaxisp.stages.demosaic.bilinear import demosaic_bilinear
+from jaxisp.stages.demosaic.hibbard import demosaic_hibbard
+from jaxisp.stages.demosaic.malvar import demosaic_malvar
+from jaxisp.stages.demosaic.median import color_difference_median
+from jaxisp.stages.demosaic.menon import demosaic_menon
+
+__all__ = [
+    "color_difference_median",
+    "demosaic_ahd",
+    "demosaic_bilinear",
+    "demosaic_hibbard",
+    "demosaic_malvar",
+    "demosaic_menon",
+]

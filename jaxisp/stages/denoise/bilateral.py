@@ -1,0 +1,226 @@
+"""Bilateral filtering of luma and chroma."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxisp import numerics
+from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.domains import RGB
+from jaxisp.numerics import materialize
+from jaxisp.params import param, parameters
+from jaxisp.stage import register
+from jaxisp.stages.denoise.filters import edge_counts, reflect
+from jaxisp.windows import views
+
+Planes = tuple[jax.Array, ...]
+
+_FORWARD_TAPS = 80  # a fused kernel: more is slower to compile and, on a CPU, to run
+_BACKWARD_TAPS = 40
+_EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0096760319183, 0.0013390863364)
+"""2**x on [-0.5, 0.5], interpolated at Chebyshev nodes, lowest power first."""
+
+
+@parameters
+class Bilateral:
+    """Widths in space and in value for luma and chroma, and the curve that luma is compared on."""
+
+    luma_sigma_space: jax.Array = param(1.5, (0.3, 5.0), "px", log=True, doc="spatial width for luma")
+    luma_sigma_range: jax.Array = param(
+        0.05, (0.005, 1.0), "level", log=True, doc="luma difference, after guide_gamma, that still averages"
+    )
+    chroma_sigma_space: jax.Array = param(3.0, (0.3, 10.0), "px", log=True, doc="spatial width for chroma")
+    chroma_sigma_range: jax.Array = param(
+        0.1, (0.005, 1.0), "level", log=True, doc="difference of the filtered luma that still averages chroma"
+    )
+    guide_gamma: jax.Array = param(
+        1.0, (0.1, 2.0), "1", log=True, doc="power of luma before it is compared; below 1 spares shadows"
+    )
+
+
+@register
+def bilateral(
+    params: Bilateral, image: RGB, *, radius: int = 5, chroma_radius: int = 5, iterations: int = 1
+) -> RGB:
+    """Smooth luma and chroma where luma is alike, and keep its edges.
+
+    `Y' = joint(Y; guide Y**gamma)`, `Cb', Cr' = joint(Cb, Cr; guide Y')`, with the weights of
+    `bilateral_planes`. Chroma follows the filtered luma, uncompressed. The power is odd about black:
+    `sign(Y) (|Y| + 1e-4)**gamma`, less its value at 0.
+
+    Args:
+        params: sigma_space in px, sigma_range in the unit of the image (luma: of its power).
+        image: (H, W, 3), any range.
+        radius: of the disc for luma [px]. It cuts the Gaussian; 3 times sigma_space keeps it whole,
+            and with a far larger sigma_space the disc is flat.
+        chroma_radius: the same for chroma.
+        iterations: how often the whole is repeated.
+
+    Returns:
+        (H, W, 3) in the domain of the image. Borders are reflected.
+
+    Gradient: exact, in reverse mode.
+
+    Source: Jaroensri et al. 2019, section 3.3; Tomasi & Manduchi 1998; Petschnigg et al. 2004 (joint).
+    """
+    y, cb, cr = rgb_to_ycbcr_planes(*numerics.planes(image))
+    for _ in range(iterations):
+        guide = _compressed(y, params.guide_gamma)
+        y = bilateral_plane(y, guide, params.luma_sigma_space, params.luma_sigma_range, radius)
+        cb, cr = bilateral_planes(
+            (cb, cr), y, params.chroma_sigma_space, params.chroma_sigma_range, chroma_radius
+        )
+    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), axis=-1)
+
+
+def _compressed(y: jax.Array, gamma: jax.Array) -> jax.Array:
+    """An odd power of luma with a finite slope at black."""
+    toe = 1e-4
+    rise = (jnp.abs(y) + toe) ** gamma - toe**gamma
+    return jnp.where(y < 0, -rise, rise)
+
+
+def bilateral_plane(
+    plane: jax.Array, guide: jax.Array, sigma_space: Any, sigma_range: Any, radius: int
+) -> jax.Array:
+    """Bilateral filter of one plane: `bilateral_planes` of a single one.
+
+    With the plane as its own guide: `cv2.bilateralFilter(plane, 2 * radius + 1, sigma_range, sigma_space)`.
+    """
+    return bilateral_planes((plane,), guide, sigma_space, sigma_range, radius)[0]
+
+
+def bilateral_planes(
+    planes: Planes, guide: jax.Array, sigma_space: Any, sigma_range: Any, radius: int
+) -> Planes:
+    """Joint bilateral filter: planes averaged with weights that fall with distance and guide difference.
+
+    `out_p = sum_q w_pq v_q / sum_q w_pq` over the disc `|p - q| <= radius`, with
+    `w_pq = exp(-|p - q|^2 / (2 sigma_space^2) - (g_p - g_q)^2 / (2 sigma_range^2))`.
+
+    Args:
+        planes: (H, W) each; the weights are shared.
+        guide: (H, W).
+        sigma_space: [px], positive.
+        sigma_range: in the unit of the guide, positive.
+        radius: of the disc [px].
+
+    Returns:
+        The filtered planes. Borders are reflected.
+
+    Gradient: exact, to planes, guide and both sigmas (reverse mode only).
+    """
+    dtype = guide.dtype
+    return _bilateral(
+        tuple(planes), guide, jnp.asarray(sigma_space, dtype), jnp.asarray(sigma_range, dtype), radius
+    )
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(4,))
+def _bilateral(
+    planes: Planes, guide: jax.Array, sigma_space: jax.Array, sigma_range: jax.Array, radius: int
+) -> Planes:
+    return _filtered(planes, guide, sigma_space, sigma_range, radius)[0]
+
+
+def _filtered(
+    planes: Planes, guide: jax.Array, sigma_space: jax.Array, sigma_range: jax.Array, radius: int
+) -> tuple[Planes, jax.Array]:
+    """The filtered planes and the sum of the weights."""
+    weight = _weight(sigma_space, sigma_range)
+
+    def add(total: Planes, near: Planes, squared: int) -> Planes:
+        w, _ = weight(guide, near[0], squared)
+        return (total[0] + w, *(t + w * v for t, v in zip(total[1:], near[1:])))
+
+    start = (jnp.ones_like(guide), *planes)
+    norm, *sums = _over_disc(add, start, (guide, *planes), radius, _FORWARD_TAPS)
+    return tuple(s / norm for s in sums), norm
+
+
+def _filtered_forward(
+    planes: Planes, guide: jax.Array, sigma_space: jax.Array, sigma_range: jax.Array, radius: int
+) -> tuple[Planes, Any]:
+    out, norm = _filtered(planes, guide, sigma_space, sigma_range, radius)
+    return out, (planes, guide, sigma_space, sigma_range, out, norm)
+
+
+def _filtered_backward(radius: int, saved: Any, cotangent: Planes) -> tuple[Planes, jax.Array, Any, Any]:
+    """The adjoint, written as reads: autodiff would scatter 4 times for each tap."""
+    # stored anew, or XLA would share the forward pass's weights by storing one plane for each tap
+    planes, guide, sigma_space, sigma_range, out, norm = materialize(saved)
+    weight, counts = _weight(sigma_space, sigma_range), edge_counts(guide.shape, guide.dtype)
+    given = tuple(c / norm for c in cotangent)
+    mirrored = tuple(counts * c for c in given)
+    offset = sum(c * o for c, o in zip(given, out))
+    shared = sum(c * o for c, o in zip(mirrored, out))
+    share = 1 / counts
+    n = len(planes)
+
+    def add(total: Planes, near: Planes, squared: int) -> Planes:
+        w, d = weight(guide, near[0], squared)
+        value, come = near[1 : 1 + n], near[1 + n : 1 + 2 * n]
+        centre = w * (sum(c * v for c, v in zip(given, value)) - offset)  # this pixel averages the near one
+        edge = w * (sum(v * c for v, c in zip(planes, come)) - near[-1])  # the near one averages this pixel
+        by_plane = tuple(t + w * c for t, c in zip(total[:n], come))
+        d_guide, d_space = total[n:]
+        return (*by_plane, d_guide + d * (centre + share * edge), d_space + squared * centre)
+
+    zero = jnp.zeros_like(guide)
+    near = (guide, *planes, *mirrored, shared)
+    *by_plane, d_guide, d_space = _over_disc(add, (*mirrored, zero, zero), near, radius, _BACKWARD_TAPS)
+    d_guide /= sigma_range**2
+    # scaling guide and sigma_range together changes nothing (Euler), nor does an offset of the guide
+    d_range = -jnp.sum((guide - guide.mean()) * d_guide) / sigma_range
+    return tuple(share * t for t in by_plane), d_guide, d_space.sum() / sigma_space**3, d_range
+
+
+_bilateral.defvjp(_filtered_forward, _filtered_backward)
+
+
+def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tuple[jax.Array, jax.Array]]:
+    """A function of (guide, near guide, squared distance): the weight and the guide difference."""
+    space, range_ = -0.5 / sigma_space**2, -0.5 / sigma_range**2
+
+    def weight(guide: jax.Array, near: jax.Array, squared: int) -> tuple[jax.Array, jax.Array]:
+        d = near - guide
+        return _exp(space * squared + range_ * d * d), d
+
+    return weight
+
+
+def _exp(x: jax.Array) -> jax.Array:
+    """exp of x <= 0; in float32 a polynomial, within 2e-7.
+
+    XLA will not compute its own exp twice, so that with several sums it stores the weight of each tap.
+    """
+    if x.dtype != jnp.float32:
+        return jnp.exp(x)
+    y = jnp.maximum(x * np.float32(np.log2(np.e)), -126.0)
+    whole = lax.round(y, lax.RoundingMethod.TO_NEAREST_EVEN)
+    part: Any = 0.0
+    for coefficient in _EXP2[::-1]:
+        part = part * (y - whole) + coefficient
+    power = lax.bitcast_convert_type(whole.astype(jnp.int32) + 127 << 23, jnp.float32)
+    return part * power
+
+
+def _over_disc(
+    add: Callable[[Planes, Planes, int], Planes], total: Planes, near: Planes, radius: int, group: int
+) -> Planes:
+    """Fold `add(total, moved planes, squared distance)` over a disc without its centre."""
+    span = range(-radius, radius + 1)
+    taps = [(dy, dx) for dy in span for dx in span if 0 < dy * dy + dx * dx <= radius * radius]
+    padded = tuple(reflect(x, radius) for x in near)
+    for first in range(0, len(taps), group):
+        if first:
+            total = materialize(total)
+        some = taps[first : first + group]
+        for (dy, dx), moved in zip(some, zip(*(views(x, some, radius) for x in padded))):
+            total = add(total, moved, dy * dy + dx * dx)
+    return materialize(total)

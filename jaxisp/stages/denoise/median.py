@@ -1,0 +1,103 @@
+"""Median filtering of luma and chroma."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.domains import RGB
+from jaxisp.numerics import materialize, planes
+from jaxisp.params import param, parameters
+from jaxisp.stage import register
+from jaxisp.stages.denoise.filters import edge_counts, reflect
+from jaxisp.stages.denoise.networks import MEDIANS
+from jaxisp.windows import views
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
+def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
+    """Median filter of an (H, W) plane, borders reflected.
+
+    Args:
+        plane: (H, W).
+        footprint: "3x3", "5x5", or "cross" (a pixel and its 4 neighbours).
+
+    Returns:
+        (H, W). Equal to `scipy.ndimage.median_filter(..., mode="mirror")`.
+
+    Gradient: exact where the median is one pixel: it goes there. Pixels tied with it share it equally.
+    """
+    return MEDIANS[footprint][0](plane)
+
+
+def _median_forward(plane: jax.Array, footprint: str) -> tuple[jax.Array, Any]:
+    out = materialize(median_plane(plane, footprint))
+    return out, (plane, out)
+
+
+def _median_backward(footprint: str, saved: Any, cotangent: jax.Array) -> tuple[jax.Array]:
+    """The adjoint as reads: each pixel asks its neighbours' medians whether they are equal to it."""
+    plane, out = saved
+    offsets = MEDIANS[footprint][1]
+    radius = max(dy for dy, _ in offsets)
+    equal = [(near == out).astype(out.dtype) for near in views(reflect(plane, radius), offsets, radius)]
+    counts = edge_counts(plane.shape, plane.dtype)
+    share = materialize(counts * cotangent / functools.reduce(jnp.add, equal))
+    medians, shares = (views(reflect(x, radius), offsets, radius) for x in (out, share))
+    taken = [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]
+    return (functools.reduce(jnp.add, taken) / counts,)
+
+
+median_plane.defvjp(_median_forward, _median_backward)
+
+
+@parameters
+class Median:
+    """How much of the filtered image is taken."""
+
+    strength: jax.Array = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
+
+
+@register
+def median(
+    params: Median,
+    image: RGB,
+    *,
+    footprint: str = "3x3",
+    luma: bool = True,
+    chroma: bool = True,
+    iterations: int = 1,
+) -> RGB:
+    """Replace luma and chroma by the median of a neighbourhood: removes specks, keeps edges.
+
+    `y = x + strength * (median(x) - x)` on luma and on both chroma planes.
+
+    Args:
+        params: strength.
+        image: (H, W, 3), any range.
+        footprint: "3x3", "5x5", or "cross" (a pixel and its 4 neighbours).
+        luma: whether luma is filtered.
+        chroma: whether chroma is filtered.
+        iterations: how often the whole is repeated.
+
+    Returns:
+        (H, W, 3) in the domain of the image. Borders are reflected.
+
+    Raises:
+        ValueError: an unknown footprint.
+
+    Gradient: exact, in reverse mode; pixels tied for the median share it equally.
+
+    Source: Jaroensri et al. 2019, section 3.3; Tukey 1977; networks: Smith 1996, Batcher 1968.
+    """
+    if footprint not in MEDIANS:
+        raise ValueError(f"median: footprint {footprint!r} is none of {', '.join(MEDIANS)}")
+    parts = list(rgb_to_ycbcr_planes(*planes(image)))
+    for _ in range(iterations):
+        for i, wanted in enumerate((luma, chroma, chroma)):
+            if wanted:
+                filtered = materialize(median_plane(parts[i], footprint))
+                parts[i] = parts[i] + params.strength * (filtered - parts[i])
+    return jnp.stack(ycbcr_to_rgb_planes(*parts), axis=-1)

@@ -1,0 +1,332 @@
+"""Tone: gamma, s-curves, the paper's tone curve, zones, grey-pivot gamma, highlight roll-off.
+
+A curve runs on each channel, or on luma with the chroma kept: then every channel gets what luma got
+added, which leaves Cb and Cr as they were. Outside [0, 1] curves go on so that they stay monotone.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from jaxisp.color import luma
+from jaxisp.domains import RGB
+from jaxisp.numerics import planes
+from jaxisp.params import param, parameters
+from jaxisp.stage import register
+
+Curve = Callable[[jax.Array], jax.Array]
+
+TOE = 1e-3
+"""Below it a power gives way to a parabola, whose slope at 0 is finite."""
+
+
+def _apply(curve: Curve, image: jax.Array, on: str) -> jax.Array:
+    if on == "channels":
+        return curve(image)
+    if on == "luma":
+        y = luma(*planes(image))
+        return image + (curve(y) - y)[..., None]
+    raise ValueError(f'on={on!r} is neither "luma" nor "channels"')
+
+
+def _power(x: jax.Array, exponent: jax.Array) -> jax.Array:
+    """x**exponent from TOE up; below, the parabola through 0 that joins it with the same slope. Odd.
+
+    Monotone for exponents in (0, 2).
+    """
+    negative = x < 0
+    x = jnp.where(negative, -x, x)
+    share = jnp.minimum(x, TOE) / TOE
+    toe = share * (2 - exponent - (1 - exponent) * share)
+    # of the ratio to TOE, so that both branches carry the same factor
+    body = jnp.exp(exponent * jnp.log(jnp.maximum(x, TOE) / TOE))
+    y = TOE**exponent * jnp.where(x < TOE, toe, body)
+    return jnp.where(negative, -y, y)
+
+
+def _inverse_power(y: jax.Array, exponent: jax.Array) -> jax.Array:
+    """The inverse of `_power` with the same exponent."""
+    negative = y < 0
+    y = jnp.where(negative, -y, y)
+    joint = TOE**exponent
+    share = jnp.minimum(y / joint, 1.0)
+    b = 2 - exponent
+    root = jnp.sqrt(b * b - 4 * (1 - exponent) * share)  # at least the exponent: never 0
+    x = TOE * jnp.where(
+        y < joint, 2 * share / (b + root), jnp.exp(jnp.log(jnp.maximum(y / joint, 1.0)) / exponent)
+    )
+    return jnp.where(negative, -x, x)
+
+
+@parameters
+class Gamma:
+    """The exponent's inverse."""
+
+    gamma: jax.Array = param(2.2, (0.6, 4.0), "1", log=True, doc="above 1 lifts the shadows")
+
+
+@register
+def gamma_compression(params: Gamma, image: RGB) -> RGB:
+    """Compress by a power law.
+
+    `y = x**(1 / gamma)` from 0.001 up, 0 to 0 and 1 to 1; below 0.001 a parabola that joins with the same
+    slope and whose slope at 0 is finite; odd about 0.
+
+    Args:
+        params: gamma.
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image, not clipped.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, table 1; Poynton 2012, chapter 27.
+    """
+    return _power(image, 1 / params.gamma)
+
+
+@register
+def gamma_expansion(params: Gamma, image: RGB) -> RGB:
+    """Undo `gamma_compression` of the same gamma.
+
+    `y = x**gamma` from 0.001**(1 / gamma) up; below, the inverse of the parabola; odd about 0.
+
+    Args:
+        params: gamma.
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image, not clipped.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, table 1; Poynton 2012, chapter 27.
+    """
+    return _inverse_power(image, 1 / params.gamma)
+
+
+@parameters
+class SCurve:
+    """Contrast about a midpoint."""
+
+    strength: jax.Array = param(0.5, (-2.0, 2.0), "1", doc="log of the slope at the midpoint; 0 is off")
+    midpoint: jax.Array = param(0.5, (0.1, 0.9), "level", doc="the level that stays and where it is steepest")
+
+
+def _s_curve(x: jax.Array, strength: jax.Array, midpoint: jax.Array) -> jax.Array:
+    slope = jnp.exp(strength)
+    inside = jnp.clip(x, 0.0, 1.0)
+    dark = inside < midpoint
+    share = jnp.where(dark, inside / midpoint, (1 - inside) / (1 - midpoint))
+    bent = share / (share + slope * (1 - share))
+    y = jnp.where(dark, midpoint * bent, 1 - (1 - midpoint) * bent)
+    return y + (x - inside) / slope
+
+
+@register
+def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
+    """Raise the contrast about a midpoint, and lower it near black and white.
+
+    With m the midpoint and s = exp(strength), t = x / m below m and (1 - x) / (1 - m) above:
+    `h = t / (t + s (1 - t)); y = m h below m, 1 - (1 - m) h above`. Through 0, m and 1; the slope is s at
+    m and 1/s at 0 and 1, where it goes on straight. A negative strength is the inverse.
+
+    Args:
+        params: strength and midpoint.
+        image: (H, W, 3), any range.
+        on: "channels", or "luma" with the chroma kept.
+
+    Returns:
+        (H, W, 3) in the domain of the image.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Schlick 1994, "Fast alternatives to Perlin's bias and gain functions".
+    """
+    return _apply(lambda x: _s_curve(x, params.strength, params.midpoint), image, on)
+
+
+@register
+def inverse_s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
+    """Undo `s_curve` of the same parameters.
+
+    `s_curve` with `-strength`.
+
+    Args:
+        params: strength and midpoint.
+        image: (H, W, 3), any range.
+        on: "channels", or "luma" with the chroma kept.
+
+    Returns:
+        (H, W, 3) in the domain of the image.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Schlick 1994, "Fast alternatives to Perlin's bias and gain functions".
+    """
+    return _apply(lambda x: _s_curve(x, -params.strength, params.midpoint), image, on)
+
+
+@parameters
+class ToneCurve:
+    """Contrast of the paper's cubic."""
+
+    amount: jax.Array = param(
+        0.2, (-0.9, 0.45), "1", doc="a fifth of it is what is taken off at 1/4 and added at 3/4; 0 is off"
+    )
+
+
+@register
+def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
+    """A cubic contrast curve.
+
+    `y = A x**3 + B x**2 + C x` with a = 0.2 amount, A = -64 a / 3, B = 32 a, C = 1 - 32 a / 3: through
+    0, (1/4, 1/4 - a), 1/2, (3/4, 3/4 + a) and 1. Beyond 0 and 1 it goes on straight, with the slope C.
+
+    Args:
+        params: amount; monotone within its bounds.
+        image: (H, W, 3), any range.
+        on: "luma" with the chroma kept, or "channels".
+
+    Returns:
+        (H, W, 3) in the domain of the image.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, section 3.4 (tone curve).
+    """
+    a = 0.2 * params.amount
+    end_slope = 1 - 32 * a / 3
+
+    def curve(x: jax.Array) -> jax.Array:
+        inside = jnp.clip(x, 0.0, 1.0)
+        cubic = inside * (end_slope + inside * (32 * a - inside * (64 * a / 3)))
+        return cubic + end_slope * (x - inside)
+
+    return _apply(curve, image, on)
+
+
+@parameters
+class ZoneCurve:
+    """Lift of each zone, from the shadows to the highlights."""
+
+    offsets: jax.Array = param(
+        (0.0, 0.0, 0.0), (-0.5, 0.5), "zone", any_length=True, doc="lift of each zone, darkest first"
+    )
+
+
+@register
+def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
+    """Lift or lower N equally spaced zones: a piecewise linear curve through N control points.
+
+    Control point i = 1..N is at `x = i / (N + 1)` and `y = (i + offset_i) / (N + 1)`; 0 and 1 stay, and
+    what is outside them is left alone. The curve is monotone for all offsets within their bounds.
+
+    Args:
+        params: N offsets.
+        image: (H, W, 3), any range.
+        on: "luma" with the chroma kept, or "channels".
+
+    Returns:
+        (H, W, 3) in the domain of the image.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, section 3.4 (N-zone tone curve).
+    """
+    zones = params.offsets.shape[0]
+
+    def curve(x: jax.Array) -> jax.Array:
+        at = x * (zones + 1)
+        tents = [params.offsets[i] * jnp.maximum(0.0, 1 - jnp.abs(at - (i + 1))) for i in range(zones)]
+        return x + sum(tents, jnp.zeros_like(x)) / (zones + 1)
+
+    return _apply(curve, image, on)
+
+
+@parameters
+class Gray18Gamma:
+    """Contrast about middle grey."""
+
+    gamma: jax.Array = param(1.0, (0.4, 1.6), "1", log=True, doc="log-log slope at 18 %; below 1 is flatter")
+
+
+@register
+def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: str = "channels") -> RGB:
+    """A power law that leaves 18 % grey where it is, as contrast in stops about middle grey.
+
+    `y = 0.18 (x / 0.18)**gamma` from 1.8e-4 up; below, a parabola that joins with the same slope and
+    whose slope at 0 is finite; odd about 0.
+
+    Args:
+        params: gamma.
+        image: (H, W, 3) linear light, any range.
+        on: "channels", or "luma" with the chroma kept.
+
+    Returns:
+        (H, W, 3) in the domain of the image, not clipped.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, released code (Gray18Gamma), without its offset of 0.001.
+    """
+    return _apply(lambda x: 0.18 * _power(x / 0.18, params.gamma), image, on)
+
+
+@parameters
+class HighlightRolloff:
+    """Where the shoulder starts, and what it takes to white."""
+
+    start: jax.Array = param(0.8, (0.1, 0.95), "level", doc="below it nothing changes")
+    white: jax.Array = param(2.0, (1.0, 16.0), "level", log=True, doc="the level that becomes 1; 1 is off")
+
+
+@register
+def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: str = "channels") -> RGB:
+    """Bring highlights above 1 back by a smooth shoulder instead of a clip.
+
+    With t = (x - start) / (1 - start) and w the same of white:
+    `y = start + (1 - start) t (1 + t / w**2) / (1 + t)` above start, x below. The slope is 1 at start;
+    white becomes 1.
+
+    Args:
+        params: start and white.
+        image: (H, W, 3) linear light, any range.
+        on: "channels", or "luma" with the chroma kept.
+
+    Returns:
+        (H, W, 3) in the domain of the image; above 1 only what was above white.
+
+    Raises:
+        ValueError: `on` is neither.
+
+    Gradient: exact.
+
+    Source: Reinhard et al. 2002, equation 4, started at a level instead of at 0.
+    """
+    span = 1 - params.start
+    white = (params.white - params.start) / span
+
+    def curve(x: jax.Array) -> jax.Array:
+        t = jnp.maximum(x - params.start, 0.0) / span
+        shoulder = params.start + span * t * (1 + t / (white * white)) / (1 + t)
+        return jnp.where(x > params.start, shoulder, x)
+
+    return _apply(curve, image, on)

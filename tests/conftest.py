@@ -1,0 +1,39 @@
+"""Shared test images and settings. Devices are forced to 8 so that sharding is tested on any machine."""
+
+import os
+
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import settings
+
+settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
+settings.load_profile("ci")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def x64():
+    """Run the test in double precision."""
+    with jax.enable_x64(True):
+        yield
+
+
+def smooth_image(shape: tuple[int, ...], seed: int = 0, low: float = 0.02, high: float = 0.98) -> np.ndarray:
+    """A float64 picture of waves, an edge and some texture in [low, high]."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    out = np.zeros(shape)
+    for c in range(shape[2] if len(shape) == 3 else 1):
+        fy, fx, phase = rng.uniform(0.05, 0.3, 2).tolist() + [rng.uniform(0, 6)]
+        plane = 0.5 + 0.3 * np.sin(fy * y + phase) * np.cos(fx * x) + 0.15 * (x > shape[1] / 2)
+        plane += 0.03 * rng.standard_normal(shape[:2])
+        out[(..., c) if len(shape) == 3 else ...] = plane
+    return np.clip(out, low, high)

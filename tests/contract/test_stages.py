@@ -1,0 +1,162 @@
+"""What every registered stage must do. A stage that is added gets all of this."""
+
+import re
+import zlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.params import map_specs, specs
+from jaxisp.stage import run, run_batch, sections, signature, stage
+from jaxisp.stages import STAGES
+from tests.conftest import smooth_image
+
+SHAPE = (21, 34)
+NAMES = sorted(STAGES)
+
+
+def image_for(name: str, seed: int = 0, dtype=np.float32) -> np.ndarray:
+    shape = SHAPE if signature(STAGES[name]).domain_in.channels == 1 else (*SHAPE, 3)
+    return smooth_image(shape, seed).astype(dtype)
+
+
+def params_for(name: str, share=None, seed: int = 0, dtype=np.float32):
+    """Parameters at a share of each range (0 and 1 are the bounds), random inside when None."""
+    rng = np.random.default_rng(seed + zlib.crc32(name.encode()))
+
+    def value(spec):
+        s = rng.uniform(0.2, 0.8, spec.shape) if share is None else np.full(spec.shape, share)
+        low, high = spec.bounds
+        if spec.scale == "log":
+            return np.asarray(np.exp(np.log(low) + s * np.log(high / low)), dtype).clip(low, high)
+        return np.asarray(low + s * (high - low), dtype)
+
+    return map_specs(lambda spec, _: value(spec), stage(name).init())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_declaration(name):
+    fn, declared = STAGES[name], signature(STAGES[name])
+    found = sections(fn)
+    assert re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name)
+    assert not name.startswith(("apply_", "do_", "get_"))
+    for title in ("Summary", "Args", "Returns", "Gradient", "Source"):
+        assert found.get(title), f"{name}: docstring lacks {title}"
+    assert found["Gradient"].split()[0].strip(".,:;") in {"exact", "surrogate", "none"}, found["Gradient"]
+    for argument in [n for n, _ in declared.static] + ["image"] + ["params"] * bool(declared.params):
+        assert f"{argument}:" in found["Args"], f"{name}: Args lacks {argument}"
+    if declared.params:
+        assert all(s.unit and s.doc for s in specs(declared.params).values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_total(name):
+    """Finite values for every finite input: black, white, above 1, negative, parameters on their bounds."""
+    ordinary = image_for(name)
+    extremes = [np.zeros_like(ordinary), np.ones_like(ordinary), 4 * ordinary - 1]
+    s = stage(name)
+    for share in (None, 0.0, 1.0):
+        params = params_for(name, share)
+        for image in [ordinary, *extremes]:
+            out = run(s, params, image, jax.random.key(0))
+            assert out.dtype == jnp.float32
+            assert np.isfinite(out).all(), f"share {share}"
+            assert out.ndim == {1: 2, 3: 3, None: image.ndim}[s.domain_out.channels]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_is_finite(name):
+    s = stage(name)
+    ordinary = image_for(name)
+    grad = jax.jit(jax.grad(lambda p, x, w: jnp.sum(s(p, x, key=jax.random.key(0)) * w), argnums=(0, 1)))
+    shape = jax.eval_shape(lambda p, x: s(p, x, key=jax.random.key(0)), params_for(name), ordinary).shape
+    weights = np.random.default_rng(1).standard_normal(shape).astype(np.float32)
+    for share in (None, 0.0, 1.0):
+        for image in (ordinary, np.zeros_like(ordinary), np.ones_like(ordinary), 4 * ordinary - 1):
+            for leaf in jax.tree.leaves(grad(params_for(name, share), image, weights)):
+                assert np.isfinite(leaf).all(), f"share {share}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_reaches_every_parameter(name):
+    """No declared parameter is dead: its gradient (exact or surrogate) is not zero everywhere."""
+    s = stage(name)
+    if signature(s.fn).params is None or sections(s.fn)["Gradient"].startswith("none"):
+        return
+
+    @jax.jit
+    @jax.grad
+    def grad(p, x, key):
+        out = s(p, x, key=key)
+        return jnp.sum(out * jax.random.normal(jax.random.key(2), out.shape))
+
+    grads = [grad(params_for(name, seed=i), image_for(name, i), jax.random.key(i)) for i in range(3)]
+    for field in specs(signature(s.fn).params):
+        assert any(np.abs(getattr(g[name], field)).max() > 0 for g in grads), f"{field} has no gradient"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_matches_finite_differences(name, x64):
+    """Directional derivatives in float64, of stages that declare an exact gradient."""
+    s = stage(name)
+    if not sections(s.fn)["Gradient"].startswith("exact"):
+        return
+    rng = np.random.default_rng(3)
+    params, image = params_for(name, dtype=np.float64), image_for(name, dtype=np.float64)
+    key = jax.random.key(0)
+    weights = rng.standard_normal(jax.eval_shape(lambda: s(params, image, key=key)).shape)
+
+    @jax.jit
+    def loss(p, x):
+        return jnp.sum(s(p, x, key=key) * weights)
+
+    direction = jax.tree.map(lambda v: rng.standard_normal(np.shape(v)) * (np.abs(v) + 1e-3), (params, image))
+    grads = jax.jit(jax.grad(loss, argnums=(0, 1)))(params, image)
+    got = sum(float(np.sum(g * d)) for g, d in zip(jax.tree.leaves(grads), jax.tree.leaves(direction)))
+    best = np.inf
+    for h in (1e-5, 1e-6, 1e-7):
+        moved = [jax.tree.map(lambda v, d: v + e * d, (params, image), direction) for e in (h, -h)]  # noqa: B023
+        want = (float(loss(*moved[0])) - float(loss(*moved[1]))) / (2 * h)
+        best = min(best, abs(got - want) / (abs(want) + 1e-3))
+    assert best < 1e-4, f"relative error {best:.2e}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_jit_vmap_and_loop_agree(name):
+    s = stage(name)
+    images = np.stack([image_for(name, seed) for seed in range(3)])
+    params = jax.tree.map(lambda *v: np.stack(v), *[params_for(name, seed=seed) for seed in range(3)])
+    root = jax.random.key(7)
+    batch = run_batch(s, params, images, root)
+    for i in range(3):
+        one = jax.tree.map(lambda v: v[i], params)  # noqa: B023
+        plain = s(one, jnp.asarray(images[i]), key=jax.random.fold_in(root, i))
+        jitted = run(s, one, images[i], jax.random.fold_in(root, i))
+        np.testing.assert_allclose(jitted, plain, atol=2e-5, rtol=2e-5)
+        np.testing.assert_allclose(batch[i], jitted, atol=2e-5, rtol=2e-5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_new_values_do_not_retrace(name):
+    s, traces = stage(name), []
+
+    @jax.jit
+    def counted(p, x, k):
+        traces.append(name)
+        return s(p, x, key=k)
+
+    for seed in range(2):
+        counted(params_for(name, seed=seed), image_for(name, seed), jax.random.key(seed))
+    assert len(traces) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_wrong_shapes_are_refused_by_name(name):
+    for shape in ((2, 21, 34, 3), (21, 34, 4), (5,)):
+        bad = np.zeros(shape, np.float32)
+        with pytest.raises(TypeError, match=name):
+            stage(name)(params_for(name), bad, key=jax.random.key(0))
+    with pytest.raises(TypeError, match="float"):
+        stage(name)(params_for(name), (image_for(name) * 255).astype(np.uint8), key=jax.random.key(0))

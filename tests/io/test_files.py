@@ -1,0 +1,164 @@
+"""Writing whole or not at all, finding images, listing folders."""
+
+import errno
+import os
+import resource
+import signal
+from pathlib import Path
+
+import pytest
+
+import jaxisp.io
+from jaxisp.errors import InputError
+from jaxisp.io.files import atomic_write, find_images, list_folder, output_folder, read_toml
+
+
+def put(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")
+
+
+def test_atomic_write(tmp_path):
+    path = tmp_path / "a.bin"
+    for content in (b"one", b"two"):
+        with atomic_write(path) as file:
+            file.write(content)
+            assert not path.exists() or path.read_bytes() == b"one"
+        assert path.read_bytes() == content
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+    umask = os.umask(0)
+    os.umask(umask)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
+
+
+@pytest.mark.parametrize("error", [RuntimeError("stop"), KeyboardInterrupt()])
+def test_nothing_is_left_after_an_error(tmp_path, error):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(type(error)), atomic_write(path) as file:
+        file.write(b"half")
+        raise error
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS])
+def test_full_disk_is_one_line(tmp_path, monkeypatch, code):
+    path = tmp_path / "a.bin"
+
+    def full(_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError) as caught, atomic_write(path) as file:
+        file.write(b"x")
+    assert str(caught.value) == f"{path}: cannot be written: {os.strerror(code).lower()}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_too_large_for_the_disk(tmp_path):
+    """A real write error, by a limit on the size of files."""
+    old, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, old[1]))
+    try:
+        with (
+            pytest.raises(InputError, match="cannot be written: file too large"),
+            atomic_write(tmp_path / "a") as file,
+        ):
+            file.write(bytes(1 << 20))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    put(tmp_path, "file", "folder/a")
+    for bad, words in (
+        ("none/a", "no such file"),
+        ("file/a", "not a directory"),
+        ("folder", "is a directory"),
+    ):
+        with pytest.raises(InputError, match=words) as caught, atomic_write(tmp_path / bad) as file:
+            file.write(b"x")
+        assert str(caught.value).startswith(f"{tmp_path / bad}: cannot be written")
+    with pytest.raises(InputError, match="cannot be written"):
+        output_folder(tmp_path / "file" / "deep")
+    with pytest.raises(InputError, match="cannot be written"):
+        output_folder(tmp_path / "file")
+    assert output_folder(tmp_path / "new" / "deep").is_dir()
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "deep", "file", "folder", "new"]
+
+
+def test_errors_of_other_files_pass_through(tmp_path):
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "a"):
+        (tmp_path / "other").read_bytes()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_find_images(tmp_path):
+    put(
+        tmp_path,
+        "b.PNG",
+        "a.jpg",
+        "c.npy",
+        "d.raw.npy",
+        "notes.txt",
+        ".hidden.png",
+        "sub/e.tif",
+        ".sub/f.png",
+    )
+    found = [str(p.relative_to(tmp_path)) for p in find_images(tmp_path)]
+    assert found == ["a.jpg", "b.PNG", "c.npy"]
+    deep = [str(p.relative_to(tmp_path)) for p in find_images(tmp_path, recursive=True)]
+    assert deep == ["a.jpg", "b.PNG", "c.npy", "sub/e.tif"]
+    given = [tmp_path / "sub", tmp_path / "b.PNG", tmp_path]
+    assert [p.name for p in find_images(given)] == ["e.tif", "b.PNG", "a.jpg", "c.npy"]
+
+
+def test_find_images_refuses(tmp_path):
+    put(tmp_path, "notes.txt")
+    (tmp_path / "empty").mkdir()
+    for bad, words in (
+        (tmp_path, "holds no images"),
+        (tmp_path / "empty", "holds no images"),
+        (tmp_path / "none.png", "no such file"),
+        (tmp_path / "none", "no such file"),
+        (tmp_path / "notes.txt", "not an image"),
+        ([], "no input files"),
+    ):
+        with pytest.raises(InputError, match=words):
+            find_images(bad)
+
+
+def test_list_folder_refuses(tmp_path):
+    put(tmp_path, "a")
+    with pytest.raises(InputError, match="is a file, expected a folder"):
+        list_folder(tmp_path / "a")
+    with pytest.raises(InputError, match="no such folder"):
+        list_folder(tmp_path / "b")
+
+
+def test_toml(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('a = 1\nb = [2, "x"]\n')
+    assert read_toml(path) == {"a": 1, "b": [2, "x"]}
+    path.write_text("a = 1\nb = = 2\n")
+    with pytest.raises(InputError, match=r"a\.toml: is not valid TOML: .*line 2"):
+        read_toml(path)
+    path.write_bytes(b"a = '\xff'")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_toml(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_toml(tmp_path / "none.toml")
+
+
+def test_io_imports_no_jax_itself():
+    """jaxisp.io works on NumPy arrays: no module of it names jax."""
+    for module in Path(jaxisp.io.__file__).parent.glob("*.py"):
+        lines = module.read_text().splitlines()
+        assert not [line for line in lines if line.split()[:2] in (["import", "jax"], ["from", "jax"])], (
+            module
+        )

@@ -1,0 +1,168 @@
+"""Clean photographs: what is read, in which range, and what is refused."""
+
+import io
+import struct
+import zlib
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from jaxisp.errors import InputError
+from jaxisp.io.images import read_image, write_png
+from jaxisp.io.orientation import orient
+from tests.conftest import smooth_image
+
+PICTURE = np.rint(smooth_image((21, 34, 3)) * 255).astype(np.uint8)
+
+
+def refused(path, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_image(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ") and "\n" not in text and words in text, text
+
+
+def test_png_round_trip(tmp_path):
+    path = tmp_path / "a.png"
+    write_png(path, (PICTURE / 255).astype(np.float32))
+    got = read_image(path)
+    assert got.dtype == np.float32 and got.flags.c_contiguous
+    np.testing.assert_array_equal(got, PICTURE.astype(np.float32) / 255)
+    write_png(path, PICTURE)
+    np.testing.assert_array_equal(read_image(path), got)
+
+
+def test_write_png_cuts_rounds_and_refuses(tmp_path):
+    path = tmp_path / "a.png"
+    write_png(path, np.broadcast_to([-0.5, 0.4999 / 255, 1.7], (4, 5, 3)))
+    np.testing.assert_array_equal(np.asarray(Image.open(path))[2, 3], [0, 0, 255])
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="NaN"):
+        write_png(path, np.full((4, 5, 3), np.inf))
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="cannot be written"):
+        write_png(tmp_path / "none" / "a.png", PICTURE)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif"])
+def test_eight_bits_upright(tmp_path, name):
+    """Whatever the format, the stated orientation is applied; a wrong suffix does no harm."""
+    exif = Image.Exif()
+    exif[274] = 6
+    Image.fromarray(PICTURE).save(tmp_path / name, exif=exif, **({"quality": 100} if name == "a.jpg" else {}))
+    with Image.open(tmp_path / name) as image:
+        stored = np.asarray(image) if name == "a.jpg" else PICTURE
+    np.testing.assert_array_equal(read_image(tmp_path / name), orient(stored, 6).astype(np.float32) / 255)
+    other = (tmp_path / name).rename(tmp_path / "b.jpeg")
+    assert read_image(other).shape == (34, 21, 3)
+
+
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_deep_tiff(tmp_path, planar, compression, rng):
+    values = rng.integers(0, 65536, (11, 16, 3)).astype(np.uint16)
+    for array, expected in ((values, values / 65535), ((values / 65535).astype(np.float32), values / 65535)):
+        stored = array if planar == "contig" else np.moveaxis(array, -1, 0)
+        tifffile.imwrite(
+            tmp_path / "a.tif", stored, photometric="rgb", planarconfig=planar, compression=compression
+        )
+        np.testing.assert_allclose(read_image(tmp_path / "a.tif"), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+def test_npy(tmp_path, dtype):
+    top = np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else 1
+    array = (np.linspace(0, 1, 5 * 7 * 3).reshape(5, 7, 3) * top).astype(dtype)
+    np.save(tmp_path / "a.npy", array)
+    got = read_image(tmp_path / "a.npy")
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, array / top, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.full((4, 5, 3), np.nan), "NaN"),
+        (np.zeros((4, 5)), "expected (H, W, 3)"),
+        (np.zeros((3, 4, 5)), "(3, 4, 5)"),
+        (np.zeros((0, 5, 3)), "(0, 5, 3)"),
+        (np.full((4, 5, 3), 255.0), "from 255 to 255"),
+        (np.full((4, 5, 3), -0.1), "from -0.1"),
+        (np.zeros((4, 5, 3), np.int32), "int32"),
+        (np.array([None]), "damaged"),
+    ],
+)
+def test_bad_npy(tmp_path, array, words):
+    np.save(tmp_path / "a.npy", array)
+    refused(tmp_path / "a.npy", words)
+
+
+def _png16(color_type: int, channels: int) -> bytes:
+    """A 16-bit PNG of 2x2 pixels, by hand."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">L", len(body)) + kind + body + struct.pack(">L", zlib.crc32(kind + body))
+
+    rows = (b"\0" + bytes(range(4 * channels))) * 2
+    head = struct.pack(">LLBBBBB", 2, 2, 16, color_type, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )
+
+
+def test_refused_pictures(tmp_path):
+    (tmp_path / "deep.png").write_bytes(_png16(2, 3))
+    refused(tmp_path / "deep.png", "16-bit PNG")
+    (tmp_path / "grey16.png").write_bytes(_png16(0, 1))
+    refused(tmp_path / "grey16.png", "16-bit PNG")
+    for mode, words in (("L", "grayscale"), ("LA", "grayscale"), ("P", "palette"), ("1", "black and white")):
+        Image.new(mode, (8, 8)).save(tmp_path / "a.png")
+        refused(tmp_path / "a.png", words)
+    Image.new("L", (8, 8)).save(tmp_path / "a.jpg")
+    refused(tmp_path / "a.jpg", "grayscale")
+    Image.new("CMYK", (8, 8)).save(tmp_path / "a.tif")
+    refused(tmp_path / "a.tif", "CMYK")
+    tifffile.imwrite(tmp_path / "b.tif", np.zeros((8, 8), np.uint16))
+    refused(tmp_path / "b.tif", "1 samples of 16 bits")
+    tifffile.imwrite(tmp_path / "c.tif", np.full((8, 8, 3), np.nan, np.float32), photometric="rgb")
+    refused(tmp_path / "c.tif", "NaN")
+
+
+def test_alpha(tmp_path):
+    opaque = np.dstack([PICTURE, np.full(PICTURE.shape[:2], 255, np.uint8)])
+    Image.fromarray(opaque).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), PICTURE.astype(np.float32) / 255)
+    opaque[3, 4, 3] = 254
+    Image.fromarray(opaque).save(tmp_path / "a.png")
+    refused(tmp_path / "a.png", "transparent")
+
+
+def test_damaged_files(tmp_path):
+    out = io.BytesIO()
+    Image.fromarray(PICTURE).save(out, "PNG")
+    data = out.getvalue()
+    for length in (5, 8, 20, 40, 200, len(data) // 2, len(data) - 30):
+        (tmp_path / "a.png").write_bytes(data[:length])
+        refused(tmp_path / "a.png", "")
+    bomb = bytearray(data)
+    bomb[16:24] = struct.pack(">LL", 60000, 60000)
+    bomb[29:33] = struct.pack(">L", zlib.crc32(bytes(bomb[12:29])))
+    (tmp_path / "a.png").write_bytes(bytes(bomb))
+    refused(tmp_path / "a.png", "larger than any camera")
+    for compression in (None, "zlib"):
+        tifffile.imwrite(
+            tmp_path / "b.tif", np.zeros((40, 40, 3), np.uint16), photometric="rgb", compression=compression
+        )
+        whole = (tmp_path / "b.tif").read_bytes()
+        for length in (4, 30, len(whole) - 5):
+            (tmp_path / "b.tif").write_bytes(whole[:length])
+            refused(tmp_path / "b.tif", "")
+    (tmp_path / "c.png").write_text("hello")
+    refused(tmp_path / "c.png", "not a picture")
+    refused(tmp_path / "none.png", "no such file")
+    refused(tmp_path, "is a folder")

@@ -1,0 +1,139 @@
+"""The command line: results, exit codes, one line for each fault, nothing half-written."""
+
+import json
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxisp.cli import main
+from jaxisp.io import open_dataset
+from jaxisp.recipes import RECIPES
+from tests.conftest import smooth_image
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    folder = tmp_path / "clean photos"
+    folder.mkdir()
+    for i, shape in enumerate(((24, 32, 3), (24, 32, 3), (33, 25, 3))):
+        Image.fromarray(np.uint8(255 * smooth_image(shape, i))).save(folder / f"p{i}.png")
+    return folder
+
+
+def run(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_stages(capsys):
+    status, out, _ = run(capsys, "stages", "--json")
+    stages = json.loads(out)
+    assert status == 0 and len(stages) >= 45
+    assert sum(len(s["params"]) for s in stages) >= 90
+    for s in stages:
+        assert {"name", "params", "static", "gradient", "source"} <= set(s)
+        for p in s["params"]:
+            assert {"name", "default", "bounds", "unit", "scale"} <= set(p)
+    assert "stages," in run(capsys, "stages")[1]
+
+
+def test_recipes(capsys):
+    listed = {r["name"]: r for r in json.loads(run(capsys, "recipes", "--json")[1])}
+    assert listed["phone"]["draws"]["shot_read_noise.read"].startswith("uniform")
+    assert "phone-no-post" in run(capsys, "recipes")[1]
+
+
+def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photographs, tmp_path):
+    out = tmp_path / "out"
+    status, text, _ = run(
+        capsys, "degrade", photographs, "-o", out, "--recipe", "phone", "--count", 2, "--seed", 3, "--json"
+    )
+    result = json.loads(text)
+    assert status == 0 and result["images"] == 6 and result["failed"] == []
+    assert {"images", "images_per_second", "seconds"} <= set(result)
+    dataset = open_dataset(out)
+    assert dataset.kind == "clean+noisy" and len(dataset.pairs) == 6 and not dataset.problems
+    again = tmp_path / "again"
+    status, _, _ = run(
+        capsys, "degrade", photographs / "p1.png", "-o", again, "--recipe", out / "p1_001.toml",
+        "--seed", 3, "--start", 3,
+    )  # fmt: skip
+    assert status == 0
+    first, second = (
+        np.asarray(Image.open(p)) for p in (out / "p1_001.noisy.png", again / "p1_000.noisy.png")
+    )
+    np.testing.assert_array_equal(first, second)
+
+
+def test_degrade_is_what_the_recipe_does(capsys, photographs, tmp_path):
+    assert run(capsys, "degrade", photographs / "p2.png", "-o", tmp_path / "o", "--recipe", "awgn")[0] == 0
+    clean = np.asarray(Image.open(photographs / "p2.png"), np.float32) / 255
+    noisy = RECIPES["awgn"]().degrade(jax.random.key(0), clean[None])[0][0]
+    written = np.asarray(Image.open(tmp_path / "o" / "p2_000.noisy.png"))
+    np.testing.assert_array_equal(written, np.round(np.asarray(noisy) * 255))
+
+
+def test_degrade_goes_on_past_bad_files_and_lists_them(capsys, photographs, tmp_path):
+    (photographs / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnot a picture")
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(photographs / "gray.jpg")
+    np.save(photographs / "nan.npy", np.full((8, 8, 3), np.nan, np.float32))
+    status, text, err = run(
+        capsys, "degrade", photographs, "-o", tmp_path / "o", "--recipe", "awgn", "--json"
+    )
+    assert status == 2 and json.loads(text)["images"] == 3
+    assert len(json.loads(text)["failed"]) == 3
+    lines = err.strip().splitlines()
+    assert len(lines) == 3
+    for name in ("broken.png", "gray.jpg", "nan.npy"):
+        assert sum(name in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("degrade", "EMPTY", "-o", "OUT", "--recipe", "awgn"), "empty"),
+        (("degrade", "MISSING", "-o", "OUT", "--recipe", "awgn"), "missing"),
+        (("degrade", "PHOTOS", "-o", "OUT", "--recipe", "nonsense"), "no recipe named 'nonsense'"),
+        (("degrade", "PHOTOS", "-o", "FILE", "--recipe", "awgn"), "file"),
+        (("develop", "PHOTOS/p0.png", "-o", "OUT.png"), "p0.png"),
+        (("develop", "MISSING.dng", "-o", "OUT.png"), "missing"),
+        (("fit", "PHOTOS", "-o", "OUT.toml"), "photos"),
+    ],
+)
+def test_unusable_input_is_one_line_and_status_2(capsys, photographs, tmp_path, arguments, message):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("x")
+    places = {
+        "EMPTY": tmp_path / "empty", "MISSING": tmp_path / "missing", "OUT": tmp_path / "out",
+        "FILE": tmp_path / "file", "PHOTOS": photographs,
+    }  # fmt: skip
+    swapped = []
+    for a in arguments:
+        head, dot, suffix = a.partition(".") if a.partition("/")[0] != "PHOTOS" else a.partition("/")
+        swapped.append(f"{places[head]}{dot}{suffix}" if head in places else a)
+    status, out, err = run(capsys, *swapped)
+    assert status == 2 and not out
+    assert err.count("\n") == 1 and message in err.lower() or message in err
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):
+    import jaxisp.io.files as files
+
+    def no_space(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "replace", no_space)
+    status, _, err = run(capsys, "degrade", photographs, "-o", tmp_path / "o", "--recipe", "awgn")
+    assert status == 2 and "No space left" in err and err.count("\n") == 1
+    assert not list((tmp_path / "o").glob("*"))
+
+
+def test_it_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "jaxisp", "--version"], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("jaxisp ")

@@ -1,0 +1,70 @@
+"""Imports point one way: core -> arrays -> stages -> recipes -> fit, demo -> cli."""
+
+import ast
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "jaxisp"
+LAYERS = [
+    {"errors"},
+    {"params", "domains", "numerics"},
+    {"checks", "priors", "windows", "cfa", "color", "colorimetry", "jpeg_tables", "metrics", "losses"},
+    {"stage", "jpeg_codec", "io"},
+    {"stages", "samples"},
+    {"serialize"},
+    {"recipe"},
+    {"recipes", "camera", "report"},
+    {"catalogue", "generate", "fit"},
+    {"demo"},
+    {"cli"},
+]
+RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
+
+
+def modules() -> list[Path]:
+    entry = {PACKAGE / "__init__.py", PACKAGE / "__main__.py"}
+    return sorted(set(PACKAGE.rglob("*.py")) - entry)
+
+
+def layer(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module] + [f"{node.module}.{a.name}" for a in node.names]
+        found |= {n.split(".")[1] for n in names if n.startswith("jaxisp.")}
+    return found - {"__version__"}
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_down(path):
+    own = layer(path)
+    assert own in RANK, f"{own}: say in which layer it is"
+    upward = {name for name in imported(path) if RANK[name] > RANK[own]}
+    assert not upward, f"{path.name} imports upwards: {upward}"
+
+
+def test_io_does_not_need_jax_arrays():
+    for path in (PACKAGE / "io").glob("*.py"):
+        assert "import jax\n" not in path.read_text(), path
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["degrade", "--help"], ["degrade"], ["nonsense"]])
+def test_help_and_usage_errors_do_not_load_jax(arguments):
+    code = (
+        "import sys\nfrom jaxisp.cli import main\n"
+        f"try:\n    main({arguments!r})\nexcept SystemExit as e:\n    status = e.code\n"
+        "assert 'jax' not in sys.modules and 'numpy' not in sys.modules\nsys.exit(status)"
+    )
+    clock = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == (0 if "--help" in arguments else 2), done.stderr
+    assert time.perf_counter() - clock < 5  # a guard against a heavy import, not a benchmark

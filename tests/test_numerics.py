@@ -1,0 +1,59 @@
+"""Gradient-safe primitives, and that `materialize` still does what it is for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.numerics import (
+    clip_through,
+    materialize,
+    per_plane,
+    round_through,
+    safe_divide,
+    safe_pow,
+    safe_sqrt,
+    straight_through,
+)
+
+
+@pytest.mark.parametrize("transform", [lambda f: f, jax.vmap, lambda f: jax.grad(lambda x: f(x).sum())])
+def test_materialize_survives_compilation(transform):
+    """JAX or XLA may learn to remove it; then whole chains become many times slower without a wrong number."""
+    x = jnp.ones((4, 64))
+    text = jax.jit(transform(lambda v: jnp.sin(materialize(jnp.cos(v))))).lower(x).compile().as_text()
+    assert "conditional(" in text
+
+
+def test_materialize_is_the_identity(rng):
+    x = jnp.asarray(rng.standard_normal((3, 5)))
+    np.testing.assert_array_equal(jax.jit(materialize)(x), x)
+    np.testing.assert_array_equal(jax.grad(lambda v: (materialize(v) ** 2).sum())(x), 2 * x)
+
+
+@pytest.mark.parametrize("fn", [safe_sqrt, lambda x: safe_pow(x, 0.4), lambda x: safe_divide(1.0, x)])
+def test_total_at_and_below_zero(fn):
+    for x in (-1.0, 0.0, 1e-30, 4.0):
+        assert np.isfinite(fn(jnp.float32(x))) and np.isfinite(jax.grad(fn)(jnp.float32(x)))
+
+
+def test_values():
+    assert safe_pow(jnp.float32(4), 0.5) == 2 and safe_sqrt(jnp.float32(9)) == 3
+    assert safe_divide(1.0, jnp.float32(4)) == 0.25 and safe_divide(1.0, jnp.float32(0)) == 0
+
+
+def test_straight_through_has_the_exact_value_and_the_other_gradient():
+    hard, soft = jnp.float32(0.1), lambda x: 1e8 * x
+    value, slope = jax.value_and_grad(lambda x: straight_through(hard, soft(x)))(jnp.float32(3))
+    assert value == hard and slope == 1e8
+    assert jax.grad(round_through)(0.3) == 1 and round_through(jnp.float32(2.5)) == 2
+    assert jax.grad(lambda x: clip_through(x, 0, 1))(2.0) == 0
+    assert jax.grad(lambda x: clip_through(x, 0, 1, leak=0.1))(2.0) == pytest.approx(0.1)
+    assert clip_through(jnp.float32(2), 0, 1, leak=0.1) == 1
+
+
+def test_per_plane_treats_channels_alike(rng):
+    image = jnp.asarray(rng.standard_normal((4, 6, 3)), jnp.float32)
+    flipped = per_plane(lambda p: p[::-1], image)
+    np.testing.assert_array_equal(flipped, image[::-1])
+    np.testing.assert_array_equal(per_plane(lambda p: p[::-1], image[..., 0]), image[::-1, :, 0])

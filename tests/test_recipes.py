@@ -1,0 +1,136 @@
+"""Recipes: what they draw, reproducibility, TOML."""
+
+import jax
+import numpy as np
+import pytest
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxisp.errors import InputError
+from jaxisp.recipe import Recipe, _degrade
+from jaxisp.recipes import RECIPES, find_recipe
+from jaxisp.stage import Chain, stage
+from tests.conftest import smooth_image
+
+KEY = jax.random.key(5)
+IMAGES = np.stack([smooth_image((24, 32, 3), i) for i in range(8)]).astype(np.float32)
+CONTRACT = {
+    "awgn", "amwgn", "phone", "phone-no-post", "phone-no-denoise", "phone-no-demosaic",
+    "phone-bilinear", "phone-ahd", "phone-kodak",
+}  # fmt: skip
+
+
+def test_the_recipes_of_the_contract_are_there():
+    assert set(RECIPES) >= CONTRACT
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_degrade(name):
+    recipe = RECIPES[name]()
+    noisy, clean, params = recipe.degrade(KEY, IMAGES)
+    assert noisy.shape == IMAGES.shape and noisy.dtype == np.float32
+    assert np.isfinite(noisy).all() and noisy.min() >= 0 and noisy.max() <= 1
+    np.testing.assert_array_equal(clean, IMAGES)
+    assert all(len(leaf) == len(IMAGES) for leaf in jax.tree.leaves(params))
+    levels = np.asarray(noisy) * 255
+    np.testing.assert_allclose(levels, np.round(levels), atol=1e-3)
+    assert 1e-3 < float(np.mean((noisy - IMAGES) ** 2)) ** 0.5 < 0.4
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_toml_round_trip(name):
+    recipe = RECIPES[name]()
+    back = Recipe.from_toml(recipe.to_toml())
+    assert back == recipe and hash(back) == hash(recipe)
+    assert back.chain == recipe.chain
+
+
+def test_the_phone_is_the_same_bits_at_any_batch_size_and_on_eight_devices():
+    recipe = RECIPES["phone"]()
+    whole = np.asarray(recipe.degrade(KEY, IMAGES)[0])
+    for size in (1, 4):
+        parts = [recipe.degrade(KEY, IMAGES[i : i + size], i)[0] for i in range(0, 8, size)]
+        np.testing.assert_array_equal(np.concatenate(parts), whole)
+    sharding = NamedSharding(Mesh(np.array(jax.devices()), ("batch",)), PartitionSpec("batch"))
+    sharded = recipe.degrade(KEY, jax.device_put(IMAGES, sharding))[0]
+    assert len(sharded.sharding.device_set) == 8
+    np.testing.assert_array_equal(sharded, whole)
+
+
+def test_drawn_parameters_make_the_image_again():
+    recipe = RECIPES["phone"]()
+    noisy, _, params = recipe.degrade(KEY, IMAGES, 3)
+    np.testing.assert_array_equal(recipe.repeat(KEY, params, IMAGES, 3), noisy)
+    one = Recipe(recipe.chain, jax.tree.map(lambda v: np.asarray(v[2]), params))
+    again = one.degrade(KEY, IMAGES[2:3], 5)[0]
+    np.testing.assert_array_equal(again[0], noisy[2])
+
+
+def test_equal_recipes_share_a_compile_and_new_keys_do_not_retrace():
+    _degrade._clear_cache()
+    for seed in range(3):
+        RECIPES["awgn"]().degrade(jax.random.key(seed), IMAGES, seed)
+    assert _degrade._cache_size() == 1
+
+
+def test_awgn_has_the_drawn_standard_deviation():
+    gray = np.full((64, 48, 48, 3), 0.6, np.float32)  # linear 0.319: clipping is rare for small std
+    recipe = RECIPES["awgn"]()
+    noisy, _, params = recipe.degrade(KEY, gray)
+    decoded = np.where(noisy <= 0.04045, noisy / 12.92, ((noisy + 0.055) / 1.055) ** 2.4)
+    std = np.asarray(params["gaussian_noise"].std)
+    small = std < 0.08
+    measured = decoded.reshape(64, -1).std(1)
+    np.testing.assert_allclose(measured[small], np.hypot(std, 0.002)[small], rtol=0.06, atol=1e-3)
+    assert 0 <= std.min() and std.max() <= 0.2
+
+
+def test_the_paper_and_the_authors_code_draw_other_noise():
+    draws = {}
+    for name in ("phone", "phone-authors-code"):
+        recipe = RECIPES[name]()
+        draws[name] = jax.vmap(recipe.draw)(jax.random.split(KEY, 2000))["shot_read_noise"]
+    paper, code = (np.sqrt(draws[n].shot) for n in ("phone", "phone-authors-code"))
+    assert paper.max() <= 0.0201 and paper.mean() == pytest.approx(0.01, rel=0.1)
+    assert 0.0099 <= code.min() and code.max() <= 0.2002 and code.max() > 0.15
+
+
+def test_find_recipe(tmp_path):
+    assert find_recipe("phone") == RECIPES["phone"]()
+    with pytest.raises(InputError, match="no recipe named 'fone'; there are awgn"):
+        find_recipe("fone")
+    with pytest.raises(InputError, match=r"x.toml: cannot be read"):
+        find_recipe(str(tmp_path / "x.toml"))
+    RECIPES["amwgn"]().save(tmp_path / "a b é.toml")
+    assert find_recipe(str(tmp_path / "a b é.toml")) == RECIPES["amwgn"]()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stages = 3", "a recipe has"),
+        ("stages = [", "r.toml:"),
+        ('stages = [{stage = "sharpen"}]', "no stage named 'sharpen'"),
+        (
+            'stages = [{stage = "unsharp_mask"}]\n[params.unsharp_mask]\namount = 99.0',
+            "unsharp_mask.amount = 99",
+        ),
+        ('stages = [{stage = "mosaic"}, {stage = "unsharp_mask"}]', "gives mosaic"),
+        ('stages = [{stage = "unsharp_mask"}]\nauthor = "x"', "a recipe has"),
+    ],
+)
+def test_a_broken_recipe_is_refused(text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        Recipe.from_toml(text, "r.toml")
+    assert str(caught.value).startswith("r.toml: ")
+
+
+@pytest.mark.parametrize("images", [np.zeros((8, 8, 3), np.float32), np.zeros((1, 8, 8, 3), np.uint8)])
+def test_wrong_images_are_refused(images):
+    with pytest.raises(TypeError, match="'awgn' takes"):
+        RECIPES["awgn"]().degrade(KEY, images)
+
+
+def test_a_recipe_without_noise_needs_no_noise():
+    recipe = Recipe(Chain((stage("unsharp_mask"),), "plain"), {})
+    noisy, _, _ = recipe.degrade(KEY, IMAGES)
+    assert noisy.shape == IMAGES.shape
