@@ -21,7 +21,7 @@ from jaxisp.camera import develop
 from jaxisp.fit import fit_dataset
 from jaxisp.fit.report import write_report
 from jaxisp.generate import degrade_files
-from jaxisp.io import read_raw, write_png
+from jaxisp.io import output_folder, read_raw, write_png
 from jaxisp.recipes import find_recipe
 
 
@@ -68,6 +68,7 @@ def against_libraw(path: Path, pictures: Path | None) -> dict[str, Any]:
     h, w = (min(a, b) for a, b in zip(ours.shape[:2], theirs.shape[:2]))
     ours, theirs = centre(ours, h, w), centre(theirs, h, w)
     if pictures:
+        output_folder(pictures)
         write_png(pictures / f"{path.stem}.png", np.concatenate([ours, theirs], 1))
     matched = np.clip(match_levels(ours, theirs), 0, 1)
     return {
@@ -110,12 +111,14 @@ def degrade(folder: Path) -> dict[str, Any]:
 
 def markdown(results: dict[str, Any]) -> str:
     rows = [
-        f"| {d['file']} | {d['size'][0]} x {d['size'][1]} | {d['psnr']} | {d['psnr_levels_matched']} | {d['seconds']} |"
+        f"| {d['file']} | {d['size'][0]} x {d['size'][1]} | {d['psnr']} | {d['psnr_levels_matched']} "
+        f"| {d['seconds']} |"
         for d in results["develop"]
     ]
     fitted, degraded = results["fit"], results["degrade"]
     pairs = [
-        f"| {p['name']} | {p['psnr']:.2f} / {p['ssim']:.4f} | {p['held_out_psnr']:.2f} / {p['held_out_ssim']:.4f} "
+        f"| {p['name']} | {p['psnr']:.2f} / {p['ssim']:.4f} "
+        f"| {p['held_out_psnr']:.2f} / {p['held_out_ssim']:.4f} "
         f"| {p['shift_px'][0]:+.2f}, {p['shift_px'][1]:+.2f} |"
         for p in fitted["pairs"]
     ]

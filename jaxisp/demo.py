@@ -15,7 +15,7 @@ from jaxisp.domains import ENCODED
 from jaxisp.fit import fit_dataset
 from jaxisp.fit.report import add_fit
 from jaxisp.generate import degrade_files
-from jaxisp.io import open_dataset, write_png
+from jaxisp.io import open_dataset, output_folder, write_png
 from jaxisp.metrics import psnr
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import CFA, RECIPES
@@ -32,36 +32,38 @@ Tick = Callable[[int, int, str], Any]
 
 
 def run_demo(
-    out: str | Path, *, seed: int = 0, tick: Tick = lambda done, total, text: None
+    out: str | Path, *, seed: int = 0, steps: int = 250, tick: Tick = lambda done, total, text: None
 ) -> dict[str, Any]:
     """Run the demo into a folder.
 
     Args:
         out: the folder; `report.html` in it shows the results.
         seed: of everything that is drawn.
+        steps: of the fit.
         tick: called with (done, total, text).
 
     Returns:
         {"report", "fit", "degrade", "seconds"}.
     """
-    clock, out = time.perf_counter(), Path(out)
+    clock, out = time.perf_counter(), output_folder(out)
     page = Page(
         "jaxisp: a camera in JAX",
         "Made offline from data that comes with the package: a reference phone, written without any of the "
-        "simulator's code, takes RAW+JPEG pairs; the simulator is fitted to them, then degrades clean patches.",
+        "simulator's code, takes RAW+JPEG pairs; the simulator is fitted to them, then degrades patches.",
     )
     photographs = list(scenes(SIZE))
     tick(1, 5, "taking pictures with the reference phone")
-    write_pairs(out / "pairs", PHONES["a"], photographs[:2], seed, SIZE)
+    pairs = output_folder(out / "pairs")
+    write_pairs(pairs, PHONES["a"], dict(zip(scene_names()[:2], photographs)), seed)
     tick(2, 5, "fitting the camera")
-    result = fit_dataset(out / "pairs")
+    result = fit_dataset(pairs, steps=steps)
     result.camera.save(out / "camera.toml")
     tick(3, 5, "stage by stage")
     _add_stages(page, _encoded(photographs[0]), RECIPES["phone"](), seed)
     tick(4, 5, "degrading")
     degraded = _degrade(page, out, photographs, seed)
     add_fit(page, result)
-    _add_develop(page, out, result.camera)
+    _add_develop(page, out, pairs, result.camera)
     page.write(out / "report.html")
     tick(5, 5, "")
     return {
@@ -81,8 +83,8 @@ def _add_stages(page: Page, picture: np.ndarray, recipe: Recipe, seed: int) -> N
     """One crop of the photograph after each stage of a recipe, encoded for the screen."""
     page.heading(
         "One photograph, stage by stage",
-        f"A {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. A mosaic is "
-        "shown with each photosite in its own colour.",
+        f"A {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. "
+        "A mosaic is shown with each photosite in its own colour.",
     )
     key = jax.random.key(seed)
     params, image = recipe.draw(key), jnp.asarray(_crop(picture))
@@ -119,8 +121,8 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
     """Degrade patches by several recipes; the phone's are written as a data set too."""
     page.heading(
         "A batch of degraded patches",
-        "Each patch has its own draw of noise, denoising, sharpening and JPEG level. White noise is what most "
-        "denoisers are trained on; the phone's is what they meet.",
+        "Each patch has its own draw of noise, denoising, sharpening and JPEG level. White noise is what "
+        "most denoisers are trained on; the phone's is what they meet.",
     )
     pictures = [_encoded(p) for p in photographs]
     patches = np.stack([_crop(p) for p in pictures])
@@ -128,14 +130,15 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
         noisy, clean, _ = RECIPES[name]().degrade(jax.random.key(seed), patches)
         figures = [(f"{name}, {float(psnr(n, c)):.1f} dB", np.asarray(n)) for n, c in zip(noisy, clean)]
         page.figures(figures[:5], magnify=3)
+    clean = output_folder(out / "clean")
     for name, picture in zip(scene_names(), pictures):
-        write_png(out / "clean" / f"{name}.png", picture)
-    return degrade_files([out / "clean"], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
+        write_png(clean / f"{name}.png", picture)
+    return degrade_files([clean], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
 
 
-def _add_develop(page: Page, out: Path, camera: Recipe) -> None:
+def _add_develop(page: Page, out: Path, pairs: Path, camera: Recipe) -> None:
     """One RAW, developed plainly and by the fitted camera."""
-    pair = open_dataset(out / "pairs").pairs[0].load()
+    pair = open_dataset(pairs).pairs[0].load()
     assert pair.raw is not None, "the reference phone wrote it"
     page.heading("The fitted camera on a RAW file", "As `jaxisp develop RAW --camera CAMERA.toml` does it.")
     pictures = [

@@ -13,7 +13,7 @@ import numpy as np
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, find_images
+from jaxisp.io.files import atomic_write, find_images, output_folder
 from jaxisp.io.images import read_image, write_png
 from jaxisp.recipe import Recipe
 
@@ -90,7 +90,7 @@ def degrade_files(
     """
     if recipe.chain.domain_in.channels != 3 or recipe.chain.domain_out.channels != 3:
         raise InputError(f"recipe {recipe.name!r} takes {recipe.chain.domain_in.name}, not photographs")
-    paths = find_images(inputs)
+    paths, out = find_images(inputs), output_folder(out)
     outcome, clock = Outcome(), time.perf_counter()
     key = jax.random.key(seed)
     for jobs in _batches(paths, count, start, outcome):
@@ -98,12 +98,12 @@ def degrade_files(
         noisy, _, params = jax.device_get(_degrade_jobs(recipe, key, images, jobs))
         for i, job in enumerate(jobs):
             drawn = jax.tree.map(lambda leaf, i=i: leaf[i], params)
-            _write(Path(out), job, noisy[i], recipe, drawn, seed)
+            _write(out, job, noisy[i], recipe, drawn, seed)
             outcome.images += 1
             tick(outcome.images, len(paths) * count)
     outcome.seconds = time.perf_counter() - clock
     if outcome.images:
-        with atomic_write(Path(out) / "dataset.toml") as file:
+        with atomic_write(out / "dataset.toml") as file:
             file.write(tomli_w.dumps({"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}).encode())
     return outcome
 

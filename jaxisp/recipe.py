@@ -35,8 +35,14 @@ class Recipe:
     """Where it comes from and how it is meant: plain TOML values that no computation needs."""
 
     def __post_init__(self) -> None:
-        missing = set(self.chain.init()) - set(self.prior)
-        object.__setattr__(self, "prior", {**{n: self.chain.init()[n] for n in missing}, **self.prior})
+        default = self.chain.init()
+        unknown = sorted(set(self.prior) - set(default))
+        if unknown:
+            raise InputError(
+                f"recipe {self.name!r} has no stage {', '.join(unknown)}; it has {sorted(default)}"
+            )
+        # in the order of the chain, so that equal recipes have equal text
+        object.__setattr__(self, "prior", {n: self.prior.get(n, values) for n, values in default.items()})
         check_prior(self.prior)
 
     @property
@@ -60,7 +66,7 @@ class Recipe:
     def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
         """Degrade a batch on the device, with one draw of the parameters an image.
 
-        Image i depends on the key and on its index, start + i, alone: its bits are the same at any batch size.
+        Image i depends on the key and on its index, start + i, alone: the same bits at any batch size.
 
         Args:
             key: a JAX key, as `jax.random.key(0)`.
@@ -76,9 +82,8 @@ class Recipe:
         """
         shape = jnp.shape(images)
         if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-            raise TypeError(
-                f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {jnp.result_type(images)}{shape}"
-            )
+            got = f"{jnp.result_type(images)}{shape}"
+            raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
         return _degrade(self, key, jnp.asarray(images), start)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:

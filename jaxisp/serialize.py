@@ -108,7 +108,7 @@ def _encode_leaf(value: Any) -> Any:
     if not is_distribution(value):
         return _plain(np.asarray(value, np.float32))
     arguments = value.values if isinstance(value, Choice) else dataclasses.astuple(value)
-    return {_KINDS[type(value)]: list(arguments)}
+    return {_KINDS[type(value)]: [float(a) for a in arguments]}
 
 
 def _decode_leaf(path: str, value: Any) -> Any:

@@ -120,7 +120,7 @@ def test_gate_switches():
     for on in (0.0, 1.0):
         params = node.init() | {"use_offset": type(node.init()["use_offset"])(on=np.float32(on))}
         np.testing.assert_allclose(run(node, params, IMAGES[0]), IMAGES[0] + 0.25 * on, rtol=1e-6)
-        slope = jax.grad(lambda p: run(node, p, IMAGES[0]).sum())(params)["offset"].value  # noqa: B023
+        slope = jax.grad(lambda p: run(node, p, IMAGES[0]).sum())(params)["offset"].value
         assert slope == pytest.approx(IMAGES[0].size * on)
 
 
@@ -198,9 +198,9 @@ def test_errors_at_build_name_the_fault():
         stage("sharpen")
     with pytest.raises(ValueError, match="gain is not"):
         Chain((stage(gain), stage(gain)))
-    with pytest.raises(ValueError, match="'unsharp_mask' takes any three channels, but .* gives mosaic"):
+    with pytest.raises(ValueError, match=r"'unsharp_mask' takes any three channels, but .* gives mosaic"):
         Chain((stage(gray), stage(unsharp_mask)))
-    with pytest.raises(ValueError, match="'gray' takes linear sRGB, but .* gives encoded sRGB"):
+    with pytest.raises(ValueError, match=r"'gray' takes linear sRGB, but .* gives encoded sRGB"):
         Chain((stage(encode), stage(square), stage(gray)))
     with pytest.raises(ValueError, match="keeps its domain: 'encode'"):
         Gate(stage(encode))

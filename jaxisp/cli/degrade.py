@@ -39,7 +39,6 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json(result)
     else:
-        print(
-            f"{done.images} images in {done.seconds:.1f} s ({done.images_per_second:.1f} a second) -> {arguments.out}"
-        )
+        rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
+        print(f"{done.images} images in {rate} -> {arguments.out}")
     return done.report_failures()

@@ -13,7 +13,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--report", metavar="DIR", help="write DIR/report.html, with pictures before and after"
     )
-    command.add_argument("--steps", type=positive, default=300, help="gradient steps (default 300)")
+    command.add_argument("--steps", type=positive, default=250, help="gradient steps (default 250)")
     command.add_argument("--demosaic", default="demosaic_ahd", metavar="STAGE", help="default demosaic_ahd")
 
 

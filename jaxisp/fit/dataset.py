@@ -10,7 +10,7 @@ from jaxisp.io import open_dataset
 def fit_dataset(
     folder: str | Path,
     *,
-    steps: int = 300,
+    steps: int = 250,
     demosaic: str = "demosaic_ahd",
     tick: Tick = lambda done, total, text: None,
 ) -> FitResult:

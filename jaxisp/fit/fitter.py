@@ -26,11 +26,14 @@ from jaxisp.metrics import psnr, ssim_map
 from jaxisp.params import to_bounded, to_unbounded
 from jaxisp.recipe import Recipe
 from jaxisp.stage import Chain, Params, run
+from jaxisp.stages.balance import ColorMatrix
+from jaxisp.stages.optics import Exposure
+from jaxisp.stages.tone import Gamma, ZoneCurve
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 TILE = 64
 BORDER = 8
-RATE = 0.03
+RATE = 0.1
 FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
 HOW = f"a checkerboard of {TILE}x{TILE} tiles: half are fitted, the other half reported"
 
@@ -153,7 +156,7 @@ def _camera_rgb(raw: Raw, demosaic: str) -> np.ndarray:
 
 
 def fit_shots(
-    shots: Sequence[Shot], *, steps: int = 300, tick: Tick = lambda done, total, text: None
+    shots: Sequence[Shot], *, steps: int = 250, tick: Tick = lambda done, total, text: None
 ) -> tuple[Params, list[Alignment], np.ndarray]:
     """Fit one set of parameters to all shots, and each shot's alignment.
 
@@ -186,11 +189,12 @@ def start(chain: Chain, shots: Sequence[Shot]) -> Params:
     source, wanted = (np.concatenate(parts) for parts in zip(*pixels))
     gain = float(np.clip(wanted.sum() / max(source.sum(), 1e-9), 2.0**-6, 2.0**6))
     matrix = np.linalg.lstsq(gain * source, wanted, rcond=None)[0].T
-    exposure, color = params["exposure"], params["color_matrix"]
-    low, high = -3.9, 3.9
+    matrix = np.clip(matrix, -3.9, 3.9).astype(np.float32)
     return params | {
-        "exposure": type(exposure)(exposure_ev=np.float32(np.log2(gain))),
-        "color_matrix": type(color)(matrix=np.clip(matrix, low, high).astype(np.float32)),
+        "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),  # type: ignore[arg-type]
+        "color_matrix": ColorMatrix(matrix=matrix),  # type: ignore[arg-type]
+        "gamma_compression": Gamma(gamma=np.float32(1)),  # type: ignore[arg-type]
+        "zone_curve": ZoneCurve(offsets=np.zeros(model.ZONES, np.float32)),  # type: ignore[arg-type]
     }
 
 
@@ -283,7 +287,7 @@ def _update(
 def fit_examples(
     examples: Sequence[Example],
     *,
-    steps: int = 300,
+    steps: int = 250,
     demosaic: str = "demosaic_ahd",
     tick: Tick = lambda done, total, text: None,
 ) -> FitResult:

@@ -8,13 +8,14 @@ from jaxisp.io import Jpeg
 from jaxisp.stage import Chain, Params, stage
 from jaxisp.stages.jpeg import JpegTables
 
-HEAD_NAME = "raw_to_camera_rgb"
+ZONES = 7
+"""Control points of the tone curve, beside a gamma for its overall bend."""
 
 
 def head(cfa: str, demosaic: str) -> Chain:
     """Mosaic to camera RGB: nothing in it is fitted, so it runs once a picture."""
     nodes = (stage("mosaic_white_balance", cfa=cfa), stage("clip"), stage(demosaic, cfa=cfa))
-    return Chain(nodes, HEAD_NAME)
+    return Chain(nodes, "raw_to_camera_rgb")
 
 
 def tail() -> Chain:
@@ -26,12 +27,17 @@ def tail() -> Chain:
         "srgb_oetf",
         "bilateral",
         "median",
+        "gamma_compression",
         "zone_curve",
         "saturation",
         "unsharp_mask",
         "rounding",
     )
-    options: dict[str, dict[str, Any]] = {"median": {"footprint": "cross"}, "unsharp_mask": {"radius": 6}}
+    options: dict[str, dict[str, Any]] = {
+        "median": {"footprint": "cross"},
+        "zone_curve": {"on": "channels"},
+        "unsharp_mask": {"radius": 6},
+    }
     return Chain(tuple(stage(name, **options.get(name, {})) for name in names), "camera_rgb_to_picture")
 
 

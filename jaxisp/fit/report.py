@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxisp.fit.fitter import FitResult
+from jaxisp.io.files import output_folder
 from jaxisp.params import specs
 from jaxisp.report import Page
 
@@ -19,7 +20,7 @@ def write_report(result: FitResult, folder: str | Path) -> Path:
         "A camera fitted to its own pictures", f"{len(result.pairs)} pairs in {result.seconds:.0f} s."
     )
     add_fit(page, result)
-    path = Path(folder) / "report.html"
+    path = output_folder(folder) / "report.html"
     page.write(path)
     return path
 
