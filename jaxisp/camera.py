@@ -13,7 +13,8 @@ import numpy as np
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
 from jaxisp.recipe import Recipe
-from jaxisp.stage import Chain, Node, Stage, run, signature, stage
+from jaxisp.stage import Chain, Gate, Node, Shuffle, Stage, run, signature, stage
+from jaxisp.stages.auto import AutoLevel
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 
 WHITE_BALANCE = "mosaic_white_balance"
@@ -34,7 +35,8 @@ def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
     )
     chain = Chain(nodes, "standard")
     meta = {"from_file": [WHITE_BALANCE, COLOR_MATRIX]}
-    return Recipe(chain, chain.init(), "a plain rendering, as a RAW converter starts from", meta)
+    level = AutoLevel(black=0.1, white=99.0, max_gain=8.0)  # type: ignore[arg-type]
+    return Recipe(chain, {"auto_level": level}, "a plain rendering, as a RAW converter starts from", meta)
 
 
 def with_cfa(node: Node, cfa: str) -> Node:
@@ -44,9 +46,15 @@ def with_cfa(node: Node, cfa: str) -> Node:
         if "cfa" not in dict(signature(node.fn).static):
             return node
         return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
-    if isinstance(node, Chain):
-        return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))
-    return node  # gates and shuffles hold stages that keep their domain, none of which knows a CFA
+    if isinstance(node, Gate):
+        return dataclasses.replace(node, node=with_cfa(node.node, cfa))
+    assert isinstance(node, Chain | Shuffle)
+    return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))
+
+
+def shaded_mosaic(raw: Raw) -> np.ndarray:
+    """(H, W) mosaic with the file's own lens-shading gain map applied, where it has one."""
+    return raw.mosaic if raw.shading is None else raw.mosaic * raw.shading
 
 
 def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
@@ -62,7 +70,7 @@ def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
 
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
-    """Render a RAW file.
+    """Render a RAW file. A gain map in it is applied; distortion opcodes are not.
 
     Args:
         raw: what `jaxisp.io.read_raw` read.
@@ -82,5 +90,5 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}; "
             "developing needs mosaic into encoded sRGB"
         )
-    picture = run(chain, params_for(camera, raw), raw.mosaic, key)
+    picture = run(chain, params_for(camera, raw), shaded_mosaic(raw), key)
     return orient(np.clip(np.asarray(picture), 0, 1), raw.orientation)

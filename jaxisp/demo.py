@@ -15,7 +15,7 @@ from jaxisp.domains import ENCODED
 from jaxisp.fit import fit_dataset
 from jaxisp.fit.report import add_fit
 from jaxisp.generate import degrade_files
-from jaxisp.io import open_dataset, output_folder, write_png
+from jaxisp.io import open_dataset, orient, output_folder, write_png
 from jaxisp.metrics import psnr
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import CFA, RECIPES
@@ -45,7 +45,7 @@ def run_demo(
     Returns:
         {"report", "fit", "degrade", "seconds"}.
     """
-    clock, out = time.perf_counter(), output_folder(out)
+    clock, folder = time.perf_counter(), output_folder(out)
     page = Page(
         "jaxisp: a camera in JAX",
         "Made offline from data that comes with the package: a reference phone, written without any of the "
@@ -53,21 +53,21 @@ def run_demo(
     )
     photographs = list(scenes(SIZE))
     tick(1, 5, "taking pictures with the reference phone")
-    pairs = output_folder(out / "pairs")
+    pairs = output_folder(folder / "pairs")
     write_pairs(pairs, PHONES["a"], dict(zip(scene_names()[:2], photographs)), seed)
     tick(2, 5, "fitting the camera")
     result = fit_dataset(pairs, steps=steps)
-    result.camera.save(out / "camera.toml")
+    result.camera.save(folder / "camera.toml")
     tick(3, 5, "stage by stage")
     _add_stages(page, _encoded(photographs[0]), RECIPES["phone"](), seed)
     tick(4, 5, "degrading")
-    degraded = _degrade(page, out, photographs, seed)
+    degraded = _degrade(page, folder, photographs, seed)
     add_fit(page, result)
-    _add_develop(page, out, pairs, result.camera)
-    page.write(out / "report.html")
+    _add_develop(page, folder, pairs, result.camera)
+    page.write(folder / "report.html")
     tick(5, 5, "")
     return {
-        "report": str(out / "report.html"),
+        "report": str(folder / "report.html"),
         "fit": result.as_dict(),
         "degrade": degraded,
         "seconds": round(time.perf_counter() - clock, 1),
@@ -130,10 +130,10 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
         noisy, clean, _ = RECIPES[name]().degrade(jax.random.key(seed), patches)
         figures = [(f"{name}, {float(psnr(n, c)):.1f} dB", np.asarray(n)) for n, c in zip(noisy, clean)]
         page.figures(figures[:5], magnify=3)
-    clean = output_folder(out / "clean")
+    sources = output_folder(out / "clean")
     for name, picture in zip(scene_names(), pictures):
-        write_png(clean / f"{name}.png", picture)
-    return degrade_files([clean], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
+        write_png(sources / f"{name}.png", picture)
+    return degrade_files([sources], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
 
 
 def _add_develop(page: Page, out: Path, pairs: Path, camera: Recipe) -> None:
@@ -141,11 +141,8 @@ def _add_develop(page: Page, out: Path, pairs: Path, camera: Recipe) -> None:
     pair = open_dataset(pairs).pairs[0].load()
     assert pair.raw is not None, "the reference phone wrote it"
     page.heading("The fitted camera on a RAW file", "As `jaxisp develop RAW --camera CAMERA.toml` does it.")
-    pictures = [
-        ("plain", develop(pair.raw)),
-        ("fitted camera", develop(pair.raw, camera)),
-        ("the phone's JPEG", pair.picture),
-    ]
-    for name, picture in pictures[:2]:
-        write_png(out / f"developed-{name.split()[0]}.png", picture)
-    page.figures(pictures)
+    plain, fitted = develop(pair.raw), develop(pair.raw, camera)
+    write_png(out / "developed-plain.png", plain)
+    write_png(out / "developed-fitted.png", fitted)
+    theirs = orient(pair.picture, pair.raw.orientation)
+    page.figures([("plain", plain), ("fitted camera", fitted), ("the phone's JPEG", theirs)])

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxisp.camera import WHITE_BALANCE, params_for
+from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
 from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.align import Alignment, covered, estimate, same_scene, warp
@@ -152,7 +152,7 @@ def prepare(example: Example, demosaic: str) -> Shot:
 def _camera_rgb(raw: Raw, demosaic: str) -> np.ndarray:
     chain = model.head(raw.cfa, demosaic)
     params = params_for(Recipe(chain, chain.init(), meta=FROM_FILE), raw)
-    return np.asarray(run(chain, params, jnp.asarray(raw.mosaic)))
+    return np.asarray(run(chain, params, jnp.asarray(shaded_mosaic(raw))))
 
 
 def fit_shots(
@@ -192,7 +192,7 @@ def start(chain: Chain, shots: Sequence[Shot]) -> Params:
     matrix = np.clip(matrix, -3.9, 3.9).astype(np.float32)
     return params | {
         "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),  # type: ignore[arg-type]
-        "color_matrix": ColorMatrix(matrix=matrix),  # type: ignore[arg-type]
+        "color_matrix": ColorMatrix(matrix=matrix),
         "gamma_compression": Gamma(gamma=np.float32(1)),  # type: ignore[arg-type]
         "zone_curve": ZoneCurve(offsets=np.zeros(model.ZONES, np.float32)),  # type: ignore[arg-type]
     }

@@ -13,6 +13,8 @@ from jaxisp.io.files import output_folder
 from jaxisp.params import specs
 from jaxisp.report import Page
 
+SET_FROM_FILE = ("mosaic_white_balance", "jpeg_tables")
+
 
 def write_report(result: FitResult, folder: str | Path) -> Path:
     """Write `report.html` into the folder; return its path."""
@@ -68,6 +70,9 @@ def parameter_rows(result: FitResult) -> list[tuple[str, str, str, str, str]]:
     """(stage, parameter, value, bounds, unit) of everything in the fitted camera."""
     rows = []
     for name, values in result.camera.prior.items():
+        if name in SET_FROM_FILE:
+            rows.append((name, "", "set from each file", "", ""))
+            continue
         for field, spec in specs(type(values)).items():
             value = np.asarray(getattr(values, field))
             low, high = spec.bounds

@@ -1,0 +1,91 @@
+"""Developing RAW files, against LibRaw and with what the file itself states."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import rawpy
+
+from jaxisp.camera import develop, params_for, shaded_mosaic, standard_camera, with_cfa
+from jaxisp.errors import InputError
+from jaxisp.io import read_raw
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import RECIPES
+from jaxisp.samples import PHONES, scene, write_pairs
+from jaxisp.stage import Chain, Gate, Shuffle, stage
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pair")
+    write_pairs(folder, PHONES["a"], {"astronaut": scene("astronaut", (96, 128))})
+    return read_raw(folder / "astronaut.dng")
+
+
+def test_the_standard_camera_agrees_with_libraw(raw):
+    """Same demosaicking and colour; exposure is each program's own, so one gain in linear light is free."""
+    ours = develop(raw, standard_camera("demosaic_bilinear"))
+    with rawpy.imread(str(raw.path)) as file:
+        theirs = file.postprocess(
+            use_camera_wb=True,
+            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+            gamma=(2.4, 12.92),
+            no_auto_bright=True,
+        )
+    assert ours.shape == theirs.shape and ours.dtype == np.float32
+    a, b = (linear(x)[8:-8, 8:-8] for x in (ours, theirs / 255))
+    bright = (b > 0.02) & (b < 0.9) & (a > 0.01) & (a < 0.9)
+    assert bright.mean() > 0.5
+    gains = [np.median(b[..., c][bright[..., c]] / a[..., c][bright[..., c]]) for c in range(3)]
+    np.testing.assert_allclose(gains, np.mean(gains), rtol=0.005)
+    error = np.abs(np.mean(gains) * a - b)[bright]
+    assert np.median(error / b[bright]) < 0.01
+    assert np.corrcoef(a[bright], b[bright])[0, 1] > 0.9998
+
+
+def linear(encoded):
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def test_what_the_file_states_is_set(raw):
+    params = params_for(standard_camera(), raw)
+    np.testing.assert_allclose(params["mosaic_white_balance"].gains, raw.white_balance, rtol=1e-6)
+    np.testing.assert_allclose(params["color_matrix"].matrix, raw.camera_to_srgb, rtol=1e-5)
+    applied = dataclasses.replace(raw, white_balanced=True)
+    np.testing.assert_array_equal(params_for(standard_camera(), applied)["mosaic_white_balance"].gains, 1)
+    fixed = dataclasses.replace(standard_camera(), meta={})
+    np.testing.assert_array_equal(params_for(fixed, raw)["mosaic_white_balance"].gains, 1)
+
+
+def test_the_picture_is_turned_upright(raw):
+    upright = develop(dataclasses.replace(raw, orientation=1))
+    turned = develop(dataclasses.replace(raw, orientation=6))
+    np.testing.assert_array_equal(turned, np.rot90(upright, -1))
+
+
+def test_a_gain_map_is_applied(raw):
+    assert shaded_mosaic(raw) is raw.mosaic
+    shaded = type("Shaded", (), {"mosaic": raw.mosaic, "shading": np.full_like(raw.mosaic, 1.5)})
+    np.testing.assert_allclose(shaded_mosaic(shaded), 1.5 * raw.mosaic)
+
+
+def test_the_pattern_reaches_every_stage_that_needs_it():
+    chain = Chain(
+        (Gate(stage("green_imbalance")), Shuffle((stage("mosaic_white_balance"),)), stage("demosaic_ahd"))
+    )
+    patterns = [s.options["cfa"] for s in with_cfa(chain, "BGGR").stages()]
+    assert patterns == ["BGGR"] * 3
+    assert stage("clip") == with_cfa(stage("clip"), "BGGR")
+
+
+def test_a_recipe_for_photographs_develops_nothing(raw):
+    with pytest.raises(InputError, match="needs mosaic into encoded sRGB"):
+        develop(raw, RECIPES["awgn"]())
+
+
+def test_a_camera_goes_to_toml_and_back(raw, tmp_path):
+    camera = standard_camera("demosaic_malvar")
+    camera.save(tmp_path / "c.toml")
+    back = Recipe.load(tmp_path / "c.toml")
+    assert back == camera
+    np.testing.assert_array_equal(develop(raw, back), develop(raw, camera))
