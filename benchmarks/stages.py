@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from jaxisp.stage import Stage, run_batch, stage
+from jaxisp.pipeline import Stage, run_batch, stage
 from jaxisp.stages import STAGES
 
 BATCH, SIDE, ROUNDS = 32, 80, 9

@@ -9,14 +9,14 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "Chain": "jaxisp.stage",
-    "Gate": "jaxisp.stage",
-    "Shuffle": "jaxisp.stage",
-    "Stage": "jaxisp.stage",
-    "register": "jaxisp.stage",
-    "run": "jaxisp.stage",
-    "run_batch": "jaxisp.stage",
-    "stage": "jaxisp.stage",
+    "Chain": "jaxisp.pipeline",
+    "Gate": "jaxisp.pipeline",
+    "Shuffle": "jaxisp.pipeline",
+    "Stage": "jaxisp.pipeline",
+    "register": "jaxisp.pipeline",
+    "run": "jaxisp.pipeline",
+    "run_batch": "jaxisp.pipeline",
+    "stage": "jaxisp.pipeline",
     "STAGES": "jaxisp.stages",
     "Recipe": "jaxisp.recipe",
     "InputError": "jaxisp.errors",

@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
+from jaxisp.pipeline import Chain, Gate, Node, Shuffle, Stage, run, signature, stage
 from jaxisp.recipe import Recipe
-from jaxisp.stage import Chain, Gate, Node, Shuffle, Stage, run, signature, stage
 from jaxisp.stages.auto import AutoLevel
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 

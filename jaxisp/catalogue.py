@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from jaxisp.params import specs
+from jaxisp.pipeline import sections, signature
 from jaxisp.priors import is_distribution
 from jaxisp.recipes import RECIPES
 from jaxisp.serialize import encode_params
-from jaxisp.stage import sections, signature
 from jaxisp.stages import STAGES
 
 

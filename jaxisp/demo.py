@@ -17,11 +17,11 @@ from jaxisp.fit.report import add_fit
 from jaxisp.generate import degrade_files
 from jaxisp.io import open_dataset, orient, output_folder, write_png
 from jaxisp.metrics import psnr
+from jaxisp.pipeline import Chain
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import CFA, RECIPES
 from jaxisp.report import Page
 from jaxisp.samples import PHONES, scene_names, scenes, write_pairs
-from jaxisp.stage import Chain
 from jaxisp.stages.transfer import srgb_oetf
 
 PATCH = 80

@@ -14,9 +14,9 @@ from jax.typing import ArrayLike
 from jaxisp.errors import InputError
 from jaxisp.io.files import atomic_write
 from jaxisp.params import batch_axes
+from jaxisp.pipeline import Chain, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
-from jaxisp.stage import Chain, sample_keys
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxisp.errors import InputError
+from jaxisp.pipeline import Chain, stage
 from jaxisp.priors import Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
-from jaxisp.stage import Chain, stage
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import JpegPhotoshop

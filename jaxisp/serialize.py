@@ -16,8 +16,8 @@ import jaxisp.stages  # noqa: F401  (fills the registry)
 from jaxisp.checks import check_params
 from jaxisp.errors import InputError
 from jaxisp.params import specs
+from jaxisp.pipeline import Chain, Gate, Node, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
-from jaxisp.stage import Chain, Gate, Node, Shuffle, Stage, stage
 
 Table = dict[str, Any]
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}

@@ -9,10 +9,10 @@ import rawpy
 from jaxisp.camera import develop, params_for, shaded_mosaic, standard_camera, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.io import read_raw
+from jaxisp.pipeline import Chain, Gate, Shuffle, stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene, write_pairs
-from jaxisp.stage import Chain, Gate, Shuffle, stage
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ LAYERS = [
     {"errors"},
     {"params", "domains", "numerics"},
     {"checks", "priors", "windows", "cfa", "color", "colorimetry", "jpeg_tables", "metrics", "losses"},
-    {"stage", "jpeg_codec", "io"},
+    {"pipeline", "jpeg_codec", "io"},
     {"stages", "samples"},
     {"serialize"},
     {"recipe"},
@@ -68,3 +68,18 @@ def test_help_and_usage_errors_do_not_load_jax(arguments):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == (0 if "--help" in arguments else 2), done.stderr
     assert time.perf_counter() - clock < 5  # a guard against a heavy import, not a benchmark
+
+
+def test_the_names_at_the_top_are_what_they_say():
+    """A submodule that is imported later must not hide a name, as `jaxisp.stage` once did."""
+    import jaxisp
+    import jaxisp.cli
+    import jaxisp.demo  # imports nearly everything
+
+    assert callable(jaxisp.stage) and callable(jaxisp.run)
+    for name in jaxisp.__all__:
+        value = getattr(jaxisp, name)
+        assert (type(value).__name__ == "module") == (name in jaxisp._MODULES), name
+        assert name in dir(jaxisp)
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = jaxisp.nonsense

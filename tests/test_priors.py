@@ -8,6 +8,7 @@ import pytest
 import tomli_w
 
 from jaxisp.errors import InputError
+from jaxisp.pipeline import Chain, Gate, Shuffle, Switch, stage
 from jaxisp.priors import (
     Bernoulli,
     Choice,
@@ -19,7 +20,6 @@ from jaxisp.priors import (
     draw,
 )
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
-from jaxisp.stage import Chain, Gate, Shuffle, Switch, stage
 from jaxisp.stages.detail import UnsharpMask
 
 N = 20_000

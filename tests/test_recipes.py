@@ -6,9 +6,9 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.errors import InputError
+from jaxisp.pipeline import Chain, stage
 from jaxisp.recipe import Recipe, _degrade
 from jaxisp.recipes import RECIPES, find_recipe
-from jaxisp.stage import Chain, stage
 from tests.conftest import smooth_image
 
 KEY = jax.random.key(5)

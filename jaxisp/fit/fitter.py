@@ -24,8 +24,8 @@ from jaxisp.io import Jpeg, Raw
 from jaxisp.losses import border_mask, clip_mask, luma_chroma_loss
 from jaxisp.metrics import psnr, ssim_map
 from jaxisp.params import to_bounded, to_unbounded
+from jaxisp.pipeline import Chain, Params, run
 from jaxisp.recipe import Recipe
-from jaxisp.stage import Chain, Params, run
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.tone import Gamma, ZoneCurve

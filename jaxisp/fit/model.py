@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.io import Jpeg
-from jaxisp.stage import Chain, Params, stage
+from jaxisp.pipeline import Chain, Params, stage
 from jaxisp.stages.jpeg import JpegTables
 
 ZONES = 7

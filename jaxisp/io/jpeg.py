@@ -1,6 +1,5 @@
 """JPEG files: the pixels, and what the encoder did to them as the file itself states it."""
 
-import functools
 import io
 import struct
 import warnings
@@ -14,6 +13,7 @@ from PIL import Image, ImageCms
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, atomic_write, read_bytes
 from jaxisp.io.orientation import orient
+from jaxisp.jpeg_tables import quality_tables
 
 _SUBSAMPLING = {
     (1, 1): "4:4:4",
@@ -69,7 +69,7 @@ class Jpeg:
     def quality(self) -> int:
         """The libjpeg quality, 1 to 100, whose tables are nearest to the file's."""
         tables = np.stack([self.luma_table, self.chroma_table])
-        return 1 + int(np.argmin([np.abs(standard_tables(q) - tables).sum() for q in range(1, 101)]))
+        return 1 + int(np.argmin([np.abs(np.stack(quality_tables(q)) - tables).sum() for q in range(1, 101)]))
 
 
 @dataclass(frozen=True)
@@ -91,21 +91,6 @@ class Frame:
             if name:
                 return name
         return ",".join(f"{x}x{y}" for x, y in self.sampling)
-
-
-def standard_tables(quality: int) -> np.ndarray:
-    """(2, 8, 8) luma and chroma tables of libjpeg at a quality of 1 to 100."""
-    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
-    return np.clip((_base_tables() * scale + 50) // 100, 1, 255)
-
-
-@functools.cache
-def _base_tables() -> np.ndarray:
-    """Those of ITU-T T.81, Annex K, as the encoder writes them at quality 50, where the scale is 100 %."""
-    out = io.BytesIO()
-    Image.new("RGB", (8, 8)).save(out, "JPEG", quality=50)
-    with Image.open(out) as image:
-        return np.array([image.quantization[0], image.quantization[1]]).reshape(2, 8, 8)  # type: ignore[attr-defined]
 
 
 def frame_header(data: bytes) -> Frame:

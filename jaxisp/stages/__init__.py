@@ -1,6 +1,6 @@
 """Every stage of the package. Importing this fills `STAGES`, the registry by name."""
 
-from jaxisp.stage import REGISTRY
+from jaxisp.pipeline import REGISTRY
 from jaxisp.stages import (
     auto,
     balance,
@@ -20,7 +20,7 @@ from jaxisp.stages import (
 )
 
 STAGES = REGISTRY
-"""Stage functions by name; `jaxisp.stage.register` adds to it."""
+"""Stage functions by name; `jaxisp.pipeline.register` adds to it."""
 
 __all__ = [
     "STAGES",

@@ -12,7 +12,7 @@ from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.numerics import planes, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 DARKEST = 1e-6
 """A mean colour below it counts as this, so that black has no colour."""

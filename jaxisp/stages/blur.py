@@ -16,7 +16,7 @@ from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
 from jaxisp.numerics import per_plane, planes, safe_divide, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur, pad
 
 _CHORDS = 1024  # of a disc; its weights are then within 1e-4 of the largest

@@ -7,7 +7,7 @@ from jax import lax
 from jaxisp.domains import Mosaic
 from jaxisp.numerics import straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.noise import pattern_key
 from jaxisp.windows import pad, square, views
 

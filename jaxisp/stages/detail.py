@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxisp.domains import RGB
 from jaxisp.numerics import per_plane, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur
 
 

@@ -12,7 +12,7 @@ from jaxisp.jpeg_codec import SAMPLING, compress
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.numerics import clip_through, planes, round_through, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 FIRST_FULL_LEVEL = 7
 """The first of Photoshop's levels that keeps chroma at full resolution."""

@@ -14,7 +14,7 @@ from jaxisp.color import luma
 from jaxisp.domains import EncodedRGB, Image
 from jaxisp.numerics import planes, safe_sqrt, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.windows import filter_rows_columns, gaussian_taps
 
 

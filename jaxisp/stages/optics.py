@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxisp.domains import LinearRGB
 from jaxisp.numerics import planes
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.blur import defocus as defocus
 from jaxisp.stages.blur import motion_blur as motion_blur
 from jaxisp.stages.blur import optical_blur as optical_blur

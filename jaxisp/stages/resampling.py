@@ -10,7 +10,7 @@ from jax import lax
 from jaxisp.domains import RGB
 from jaxisp.numerics import per_plane, safe_divide
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 
 def _triangle(t: Any) -> Any:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import EncodedRGB
 from jaxisp.numerics import straight_through
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 
 @register

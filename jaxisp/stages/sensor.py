@@ -7,7 +7,7 @@ from jaxisp import cfa as bayer
 from jaxisp.domains import Image, LinearRGB, Mosaic
 from jaxisp.numerics import clip_through, planes, round_through, straight_through
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.windows import pad, views
 
 

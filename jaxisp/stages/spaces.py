@@ -12,7 +12,7 @@ from jaxisp.color import (
 from jaxisp.colorimetry import PROPHOTO_TO_SRGB, SRGB_TO_PROPHOTO
 from jaxisp.domains import XYZ, EncodedRGB, LinearRGB, ProPhotoRGB, YCbCr
 from jaxisp.numerics import planes
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 
 @register

@@ -13,7 +13,7 @@ from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.numerics import planes
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 Curve = Callable[[jax.Array], jax.Array]
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.domains import EncodedProPhotoRGB, EncodedRGB, LinearRGB, ProPhotoRGB
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 
 
 def _power(x: jax.Array, exponent: float, least: float) -> jax.Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxisp.params import map_specs, specs
-from jaxisp.stage import run, run_batch, sections, signature, stage
+from jaxisp.pipeline import run, run_batch, sections, signature, stage
 from jaxisp.stages import STAGES
 from tests.conftest import smooth_image
 

@@ -13,9 +13,9 @@ from jaxisp.fit.fitter import Example, prepare
 from jaxisp.fit.report import parameter_rows, write_report
 from jaxisp.io import open_dataset, orient
 from jaxisp.params import to_bounded, to_unbounded
+from jaxisp.pipeline import run
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
-from jaxisp.stage import run
 
 SIZE = (160, 192)
 

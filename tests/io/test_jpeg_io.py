@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
 from jaxisp.errors import InputError
-from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, frame_header, read_jpeg, standard_tables, write_jpeg
+from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, frame_header, read_jpeg, write_jpeg
 from jaxisp.io.orientation import orient
+from jaxisp.jpeg_tables import quality_tables
 from tests.conftest import smooth_image
 
 PICTURE = np.rint(smooth_image((37, 50, 3)) * 255).astype(np.uint8)
@@ -43,7 +44,7 @@ def test_round_trip_of_what_the_file_states(tmp_path, subsampling, quality):
         np.testing.assert_array_equal(jpeg.pixels, np.asarray(image))
     assert (jpeg.subsampling, jpeg.quality, jpeg.orientation) == (subsampling, quality, 6)
     assert (jpeg.iso, jpeg.make, jpeg.model, jpeg.progressive, jpeg.icc) == (320, "M", "P 1", False, None)
-    np.testing.assert_array_equal(np.stack([jpeg.luma_table, jpeg.chroma_table]), standard_tables(quality))
+    np.testing.assert_array_equal(np.stack([jpeg.luma_table, jpeg.chroma_table]), quality_tables(quality))
     np.testing.assert_array_equal(jpeg.upright, orient(jpeg.image, 6))
     assert jpeg.image.dtype == np.float32 and jpeg.image.max() <= 1
 
@@ -63,13 +64,13 @@ def test_tables_are_in_natural_order(tmp_path):
 
 def test_standard_tables_are_annex_k():
     """First rows of tables K.1 and K.2 of ITU-T T.81."""
-    luma, chroma = standard_tables(50)
+    luma, chroma = quality_tables(50)
     np.testing.assert_array_equal(luma[0], [16, 11, 10, 16, 24, 40, 51, 61])
     np.testing.assert_array_equal(luma[:, 0], [16, 12, 14, 14, 18, 24, 49, 72])
     np.testing.assert_array_equal(chroma[:3, :4], [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99]])
     for quality in (3, 49, 51, 90, 100):
         with Image.open(io.BytesIO(saved(Image.new("RGB", (8, 8)), quality=quality))) as image:
-            np.testing.assert_array_equal(standard_tables(quality)[1].ravel(), image.quantization[1])
+            np.testing.assert_array_equal(quality_tables(quality)[1].ravel(), image.quantization[1])
 
 
 def test_progressive_and_rgb():

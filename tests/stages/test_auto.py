@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import gmean, pmean
 
-from jaxisp.stage import run, run_batch, stage
+from jaxisp.pipeline import run, run_batch, stage
 from jaxisp.stages.auto import AutoExposure, AutoLevel, GrayWorld, WhitePatch, percentile
 from tests.conftest import smooth_image
 

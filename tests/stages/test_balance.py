@@ -9,7 +9,7 @@ import pytest
 from jaxisp import cfa as bayer
 from jaxisp.color import SRGB_TO_XYZ, XYZ_TO_SRGB
 from jaxisp.colorimetry import camera_to_srgb_matrix, illuminant_rgb, planckian_uv
-from jaxisp.stage import run, stage
+from jaxisp.pipeline import run, stage
 from jaxisp.stages.balance import (
     ColorMatrix,
     HueRotation,

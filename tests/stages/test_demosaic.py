@@ -12,7 +12,7 @@ import scipy.ndimage as ndi
 import skimage.data
 
 from jaxisp.cfa import PATTERNS, masks, select, shifted
-from jaxisp.stage import stage
+from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.ahd import _cube_root
 from jaxisp.stages.demosaic.median import median_3x3
 from tests.conftest import smooth_image

@@ -9,7 +9,7 @@ import pytest
 import scipy.ndimage
 from scipy import special, stats
 
-from jaxisp.stage import run, stage
+from jaxisp.pipeline import run, stage
 from jaxisp.stages import noise
 from tests.conftest import smooth_image
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, ndimage, signal
 
-from jaxisp.stage import run, stage
+from jaxisp.pipeline import run, stage
 from jaxisp.stages import blur, optics
 from tests.conftest import smooth_image
 

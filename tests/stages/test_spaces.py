@@ -4,7 +4,7 @@ import colour
 import numpy as np
 import pytest
 
-from jaxisp.stage import Chain, run, stage
+from jaxisp.pipeline import Chain, run, stage
 from tests.conftest import smooth_image
 
 SRGB = colour.RGB_COLOURSPACES["sRGB"]

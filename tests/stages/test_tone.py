@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxisp.params import specs
-from jaxisp.stage import Chain, run, signature, stage
+from jaxisp.pipeline import Chain, run, signature, stage
 from jaxisp.stages import STAGES
 from jaxisp.stages.tone import (
     Gamma,

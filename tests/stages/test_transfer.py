@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.stage import run, stage
+from jaxisp.pipeline import run, stage
 
 REFERENCES = {
     "srgb_oetf": colour.models.eotf_inverse_sRGB,

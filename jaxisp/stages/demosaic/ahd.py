@@ -9,7 +9,7 @@ from jax import lax
 from jaxisp.color import SRGB_TO_XYZ
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Planes, Sites, directional_greens, sites, spread_differences
 from jaxisp.stages.demosaic.median import smooth_differences
 from jaxisp.windows import pad, square, views

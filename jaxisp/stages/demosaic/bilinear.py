@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, red_and_blue, sites
 from jaxisp.windows import pad, views
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import CROSS, sites, spread_differences
 from jaxisp.windows import pad, views
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import CameraRGB
 from jaxisp.numerics import materialize, planes
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Planes
 from jaxisp.windows import pad, square, views
 

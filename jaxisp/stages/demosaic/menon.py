@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     Pair,
     Sites,

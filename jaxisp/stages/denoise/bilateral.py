@@ -14,7 +14,7 @@ from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.numerics import materialize
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.windows import views
 

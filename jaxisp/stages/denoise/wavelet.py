@@ -10,7 +10,7 @@ from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.numerics import materialize, planes
 from jaxisp.params import param, parameters
-from jaxisp.stage import register
+from jaxisp.pipeline import register
 from jaxisp.stages.denoise.dwt import SCALING, analyse, synthesise
 
 METHODS = ("bayes", "visu", "fixed")

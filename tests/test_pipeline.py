@@ -11,7 +11,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.domains import RGB, EncodedRGB, LinearRGB, Mosaic
 from jaxisp.params import param, parameters
-from jaxisp.stage import Chain, Gate, Shuffle, Stage, register, run, run_batch, sections, signature, stage
+from jaxisp.pipeline import Chain, Gate, Shuffle, Stage, register, run, run_batch, sections, signature, stage
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
 from tests.conftest import smooth_image
 
