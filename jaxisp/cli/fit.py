@@ -1,6 +1,7 @@
 """`jaxisp fit`: a camera from RAW+JPEG pairs."""
 
 from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, print_table, progress
@@ -20,7 +21,9 @@ def add_commands(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     from jaxisp.fit import fit_dataset
     from jaxisp.fit.report import write_report
+    from jaxisp.io import output_folder
 
+    output_folder(Path(arguments.out).parent)  # a fault here should not cost a fit
     with progress("fitting") as tick:
         result = fit_dataset(arguments.dataset, steps=arguments.steps, demosaic=arguments.demosaic, tick=tick)
     result.camera.save(arguments.out)

@@ -36,7 +36,7 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
 
     Gradient: exact.
 
-    Source: von Kries 1902; Jaroensri et al. 2019, section 3.2.
+    Source: von Kries 1902; Jaroensri et al. 2019, section 3.
     """
     return image * params.gains.astype(image.dtype)
 
@@ -60,7 +60,7 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGG
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.2.
+    Source: Jaroensri et al. 2019, section 3.
     """
     r, g, b = params.gains.astype(image.dtype)
     return image * bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), r, g, b)
@@ -101,7 +101,7 @@ def white_balance_temperature(params: WhiteBalanceTemperature, image: LinearRGB)
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.2; CIE 15:2018 (Planckian locus); CIE 1960 UCS.
+    Source: Jaroensri et al. 2019, section 3; CIE 15:2018 (Planckian locus); CIE 1960 UCS.
     """
     target = _bent_positive(illuminant_rgb(params.temperature, params.tint))
     source = _bent_positive(illuminant_rgb(params.source_temperature, params.source_tint))
@@ -141,7 +141,7 @@ def color_matrix(params: ColorMatrix, image: CameraRGB) -> LinearRGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, table 1; DNG Specification 1.6, chapter 6.
+    Source: Jaroensri et al. 2019, section 3; DNG Specification 1.6, chapter 6.
     """
     return apply_matrix(params.matrix, image)
 
@@ -168,7 +168,7 @@ def saturation(params: Saturation, image: RGB) -> RGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.4; ITU-R BT.601.
+    Source: Jaroensri et al. 2019, section 3; ITU-R BT.601.
     """
     r, g, b = planes(image)
     y = luma(r, g, b)

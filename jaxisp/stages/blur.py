@@ -139,7 +139,7 @@ def motion_blur(params: MotionBlur, image: LinearRGB, *, radius: int = 12) -> Li
 
     Gradient: surrogate for the highlight gate (a logistic one 5 % of the threshold wide), exact in all else.
 
-    Source: Jaroensri et al. 2019, section 3.1.
+    Source: Jaroensri et al. 2019, section 3.
     """
     lengths, directions = (jnp.asarray(v, image.dtype) for v in (params.lengths, params.directions))
     if lengths.shape != directions.shape:

@@ -39,7 +39,7 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
     Gradient: surrogate for the density (that of the expected image, `level - x` at every photosite);
     exact to the level and the image.
 
-    Source: Jaroensri et al. 2019, section 3.1 (defects).
+    Source: Jaroensri et al. 2019, section 3 (defects).
     """
     return _stuck(image, pattern_key(key, sensor, "hot_pixels"), params.density, params.level)
 
@@ -70,7 +70,7 @@ def dead_pixels(params: DeadPixels, image: Mosaic, *, key: jax.Array, sensor: in
     Gradient: surrogate for the density (that of the expected image, `level - x` at every photosite);
     exact to the level and the image.
 
-    Source: Jaroensri et al. 2019, section 3.1 (defects).
+    Source: Jaroensri et al. 2019, section 3 (defects).
     """
     return _stuck(image, pattern_key(key, sensor, "dead_pixels"), params.density, params.level)
 
@@ -108,7 +108,7 @@ def defect_correction(params: DefectCorrection, image: Mosaic) -> Mosaic:
     Gradient: surrogate for the choice (a logistic gate 5 % of the threshold wide); that of the median is
     exact: it goes to the neighbour that is the median, shared among equals.
 
-    Source: Jaroensri et al. 2019, section 3.2; Paeth 1990 and Smith 1996 (median of 9 by comparisons).
+    Source: Jaroensri et al. 2019, section 3; Paeth 1990 and Smith 1996 (median of 9 by comparisons).
     """
     middle = _median(image)
     excess = jnp.abs(image - middle) - params.threshold

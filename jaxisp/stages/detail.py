@@ -35,7 +35,7 @@ def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: int = 12) -> RGB:
 
     Gradient: surrogate for the threshold (a logistic gate 5 % of it wide), exact in all else.
 
-    Source: Jaroensri et al. 2019, section 3.4; Polesel, Ramponi & Mathews 2000.
+    Source: Jaroensri et al. 2019, section 3; Polesel, Ramponi & Mathews 2000.
     """
 
     def sharpen(plane: jax.Array) -> jax.Array:

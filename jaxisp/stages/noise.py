@@ -93,7 +93,7 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
 
     Gradient: exact (where the variance is 0, that of the noise is taken as 0).
 
-    Source: Foi et al. 2008; Jaroensri et al. 2019, section 3.1 ("AMWGN").
+    Source: Foi et al. 2008; Jaroensri et al. 2019, section 3 ("AMWGN").
     """
     shot, read = params.shot.astype(image.dtype), params.read.astype(image.dtype)
     return image + safe_sqrt(shot * jnp.maximum(image, 0) + read * read) * _normal(key, image)

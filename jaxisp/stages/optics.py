@@ -45,7 +45,7 @@ def exposure(params: Exposure, image: LinearRGB) -> LinearRGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.1.
+    Source: Jaroensri et al. 2019, section 3.
     """
     return image * jnp.exp2(jnp.asarray(params.exposure_ev, image.dtype))
 
@@ -73,7 +73,7 @@ def affine_exposure(params: AffineExposure, image: LinearRGB) -> LinearRGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.1.
+    Source: Jaroensri et al. 2019, section 3.
     """
     return image * jnp.asarray(params.gain, image.dtype) + jnp.asarray(params.offset, image.dtype)
 
@@ -102,7 +102,7 @@ def lateral_chromatic_aberration(params: LateralChromaticAberration, image: Line
     Gradient: exact. Where a sample falls on a pixel, as at scale 1, it is the mean of both sides
     (above some 600 px that of one side).
 
-    Source: Jaroensri et al. 2019, section 3.1; Kang 2007, "Automatic removal of chromatic
+    Source: Jaroensri et al. 2019, section 3; Kang 2007, "Automatic removal of chromatic
     aberration from a single image".
     """
     r, g, b = planes(image)

@@ -29,7 +29,7 @@ def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.1; Bayer 1976 (US 3 971 065).
+    Source: Jaroensri et al. 2019, section 3; Bayer 1976 (US 3 971 065).
     """
     return bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), *planes(image))
 
@@ -129,7 +129,7 @@ def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = Fa
     Gradient: surrogate. 1 to the image; to the bits that of `round(x L) / L` with rounding passed
     through, `(x - y) / L` times the slope of L.
 
-    Source: Jaroensri et al. 2019, section 3.1; Esser et al. 2020 (step-size gradient).
+    Source: Jaroensri et al. 2019, section 3; Esser et al. 2020 (step-size gradient).
     """
     steps = round_through(jnp.exp2(round_through(params.bits))).astype(image.dtype)
     if legacy:
@@ -165,7 +165,7 @@ def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> 
     Gradient: exact where leak is 0; else the surrogate `leak + (1 - leak) * exact` to the image, and
     `(1 - leak) * exact` to white.
 
-    Source: Jaroensri et al. 2019, section 3.1; Foi et al. 2008, "Practical Poissonian-Gaussian noise
+    Source: Jaroensri et al. 2019, section 3; Foi et al. 2008, "Practical Poissonian-Gaussian noise
     modeling and fitting for single-image raw-data" (clipping).
     """
     if not (0 <= leak <= 1 and low < 0.3):

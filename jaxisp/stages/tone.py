@@ -82,7 +82,7 @@ def gamma_compression(params: Gamma, image: RGB) -> RGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, table 1; Poynton 2012, chapter 27.
+    Source: Jaroensri et al. 2019, section 3; Poynton 2012, chapter 27.
     """
     return _power(image, 1 / params.gamma)
 
@@ -102,7 +102,7 @@ def gamma_expansion(params: Gamma, image: RGB) -> RGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, table 1; Poynton 2012, chapter 27.
+    Source: Jaroensri et al. 2019, section 3; Poynton 2012, chapter 27.
     """
     return _inverse_power(image, 1 / params.gamma)
 
@@ -204,7 +204,7 @@ def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.4 (tone curve).
+    Source: Jaroensri et al. 2019, section 3 (tone curve).
     """
     a = 0.2 * params.amount
     end_slope = 1 - 32 * a / 3
@@ -246,7 +246,7 @@ def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3.4 (N-zone tone curve).
+    Source: Jaroensri et al. 2019, section 3 (N-zone tone curve).
     """
     zones = params.offsets.shape[0]
 

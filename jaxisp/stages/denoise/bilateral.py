@@ -66,7 +66,7 @@ def bilateral(
 
     Gradient: exact, in reverse mode.
 
-    Source: Jaroensri et al. 2019, section 3.3; Tomasi & Manduchi 1998; Petschnigg et al. 2004 (joint).
+    Source: Jaroensri et al. 2019, section 3; Tomasi & Manduchi 1998; Petschnigg et al. 2004 (joint).
     """
     y, cb, cr = rgb_to_ycbcr_planes(*numerics.planes(image))
     for _ in range(iterations):

@@ -90,7 +90,7 @@ def median(
 
     Gradient: exact, in reverse mode; pixels tied for the median share it equally.
 
-    Source: Jaroensri et al. 2019, section 3.3; Tukey 1977; networks: Smith 1996, Batcher 1968.
+    Source: Jaroensri et al. 2019, section 3; Tukey 1977; networks: Smith 1996, Batcher 1968.
     """
     if footprint not in MEDIANS:
         raise ValueError(f"median: footprint {footprint!r} is none of {', '.join(MEDIANS)}")

@@ -54,7 +54,7 @@ def wavelet_coring(
 
     Gradient: exact, in reverse mode.
 
-    Source: Jaroensri et al. 2019, section 3.3; Donoho & Johnstone 1994 (VisuShrink); Chang, Yu & Vetterli
+    Source: Jaroensri et al. 2019, section 3; Donoho & Johnstone 1994 (VisuShrink); Chang, Yu & Vetterli
         2000 (BayesShrink); Daubechies 1992.
     """
     if wavelet not in SCALING:
