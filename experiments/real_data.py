@@ -2,7 +2,7 @@
 
     python -m experiments.real_data DATA --out docs/results
 
-DATA is a folder with raw/*.dng, iphone7/ (a RAW+JPEG pair) and clean/kodak/. Nothing but figures is
+DATA is a folder with raw/*.dng, imx296/static.f00.dng, iphone7/ (a RAW+JPEG pair) and clean/kodak/. Nothing but figures is
 written. `--pictures DIR` also writes the renderings side by side, to be looked at.
 """
 
@@ -31,10 +31,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results"))
     parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
+    raws = [*sorted((arguments.data / "raw").glob("*.dng")), arguments.data / "imx296" / "static.f00.dng"]
     results = {
-        "develop": [
-            against_libraw(p, arguments.pictures) for p in sorted((arguments.data / "raw").glob("*.dng"))
-        ],
+        "develop": [against_libraw(path, arguments.pictures) for path in raws],
         "fit": fit(arguments.data / "iphone7", arguments.pictures),
         "degrade": degrade(arguments.data / "clean" / "kodak"),
         "versions": {

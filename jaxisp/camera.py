@@ -14,29 +14,29 @@ from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
 from jaxisp.pipeline import Chain, Gate, Node, Shuffle, Stage, run, signature, stage
 from jaxisp.recipe import Recipe
-from jaxisp.stages.auto import AutoLevel
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+from jaxisp.stages.optics import Exposure
 
 WHITE_BALANCE = "mosaic_white_balance"
+EXPOSURE = "exposure"
 COLOR_MATRIX = "color_matrix"
 
 
 def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
-    """A plain camera: white balance, highlights clipped to white, demosaicking, the file's colour
-    matrix, exposure by the 99th percentile of luma, sRGB. No denoising and no sharpening."""
+    """A plain camera: white balance, highlights clipped to white, demosaicking, exposure for the
+    brightest 1 %, the file's colour matrix, sRGB. No denoising and no sharpening."""
     nodes = (
         stage(WHITE_BALANCE),
         stage("clip"),
         stage(demosaic),
+        stage(EXPOSURE),
         stage(COLOR_MATRIX),
-        stage("auto_level"),
         stage("srgb_oetf"),
         stage("rounding"),
     )
     chain = Chain(nodes, "standard")
-    meta = {"from_file": [WHITE_BALANCE, COLOR_MATRIX]}
-    level = AutoLevel(black=0.1, white=99.0, max_gain=8.0)  # type: ignore[arg-type]
-    return Recipe(chain, {"auto_level": level}, "a plain rendering, as a RAW converter starts from", meta)
+    meta = {"from_file": [WHITE_BALANCE, EXPOSURE, COLOR_MATRIX]}
+    return Recipe(chain, {}, "a plain rendering, as a RAW converter starts from", meta)
 
 
 def with_cfa(node: Node, cfa: str) -> Node:
@@ -64,9 +64,22 @@ def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
     if WHITE_BALANCE in from_file:
         gains = np.ones(3) if raw.white_balanced else np.asarray(raw.white_balance)
         params[WHITE_BALANCE] = WhiteBalance(gains=np.asarray(gains, np.float32))  # type: ignore[arg-type]
+    if EXPOSURE in from_file:
+        params[EXPOSURE] = Exposure(exposure_ev=np.float32(exposure_for_highlights(raw)))  # type: ignore[arg-type]
     if COLOR_MATRIX in from_file and raw.camera_to_srgb is not None:
         params[COLOR_MATRIX] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))  # type: ignore[arg-type]
     return params
+
+
+def exposure_for_highlights(raw: Raw) -> float:
+    """The exposure [EV, 0 to 5] that brings the 99th percentile of the brightest balanced colour to white."""
+    gains = np.ones(3) if raw.white_balanced else raw.white_balance
+    mosaic = shaded_mosaic(raw)
+    brightest = max(
+        gains["RGB".index(color)] * np.percentile(mosaic[i // 2 :: 2, i % 2 :: 2], 99)
+        for i, color in enumerate(raw.cfa)
+    )
+    return float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5))
 
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:

@@ -57,6 +57,15 @@ def test_what_the_file_states_is_set(raw):
     np.testing.assert_array_equal(params_for(fixed, raw)["mosaic_white_balance"].gains, 1)
 
 
+def test_exposure_takes_the_highlights_to_white(raw):
+    ev = params_for(standard_camera(), raw)["exposure"].exposure_ev
+    dim = dataclasses.replace(raw, mosaic=raw.mosaic / 4)
+    assert params_for(standard_camera(), dim)["exposure"].exposure_ev == pytest.approx(ev + 2, abs=0.05)
+    np.testing.assert_allclose(develop(dim).mean((0, 1)), develop(raw).mean((0, 1)), atol=0.01)
+    black = dataclasses.replace(raw, mosaic=np.zeros_like(raw.mosaic))
+    assert params_for(standard_camera(), black)["exposure"].exposure_ev == 5
+
+
 def test_the_picture_is_turned_upright(raw):
     upright = develop(dataclasses.replace(raw, orientation=1))
     turned = develop(dataclasses.replace(raw, orientation=6))
