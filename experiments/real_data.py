@@ -2,8 +2,8 @@
 
     python -m experiments.real_data DATA --out docs/results
 
-DATA is a folder with raw/*.dng, imx296/static.f00.dng, iphone7/ (a RAW+JPEG pair) and clean/kodak/. Nothing but figures is
-written. `--pictures DIR` also writes the renderings side by side, to be looked at.
+DATA is a folder with raw/*.dng, imx296/static.f00.dng, iphone7/ (a RAW+JPEG pair) and clean/kodak/.
+Nothing but figures is written. `--pictures DIR` also writes the renderings side by side, to be looked at.
 """
 
 import argparse
@@ -51,8 +51,8 @@ def main() -> None:
 def against_libraw(path: Path, pictures: Path | None) -> dict[str, Any]:
     """PSNR to LibRaw's own rendering of the same file: as they are, and after matching each channel's level.
 
-    LibRaw renders with the same demosaicking (AHD), as-shot white balance, sRGB, without automatic
-    brightening; ours then differs in exposure, so both are also compared at equal channel means.
+    LibRaw renders with the same demosaicking (AHD), as-shot white balance, sRGB and its own automatic
+    brightening, which differs from our exposure: so both are also compared at equal channel means.
     """
     clock = time.perf_counter()
     ours = develop(read_raw(path))
