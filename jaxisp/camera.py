@@ -63,11 +63,11 @@ def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
     from_file = camera.meta.get("from_file", [])
     if WHITE_BALANCE in from_file:
         gains = np.ones(3) if raw.white_balanced else np.asarray(raw.white_balance)
-        params[WHITE_BALANCE] = WhiteBalance(gains=np.asarray(gains, np.float32))  # type: ignore[arg-type]
+        params[WHITE_BALANCE] = WhiteBalance(gains=np.asarray(gains, np.float32))
     if EXPOSURE in from_file:
-        params[EXPOSURE] = Exposure(exposure_ev=np.float32(exposure_for_highlights(raw)))  # type: ignore[arg-type]
+        params[EXPOSURE] = Exposure(exposure_ev=np.float32(exposure_for_highlights(raw)))
     if COLOR_MATRIX in from_file and raw.camera_to_srgb is not None:
-        params[COLOR_MATRIX] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))  # type: ignore[arg-type]
+        params[COLOR_MATRIX] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))
     return params
 
 

@@ -15,6 +15,8 @@ import numpy as np
 
 T = TypeVar("T")
 Tree = Any
+Leaf = Any
+"""A parameter's value: a number, an array or a tracer; in a prior, a distribution."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,7 @@ from jax import lax
 
 from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.numerics import materialize
-from jaxisp.params import batch_axes, param, parameters
+from jaxisp.params import Leaf, batch_axes, param, parameters
 
 Params = dict[str, Any]
 REGISTRY: dict[str, Callable[..., jax.Array]] = {}
@@ -266,7 +266,7 @@ class Chain(Node):
 class Switch:
     """A traced switch."""
 
-    on: jax.Array = param(1.0, (0.0, 1.0), "switch", doc="on above 0.5")
+    on: Leaf = param(1.0, (0.0, 1.0), "switch", doc="on above 0.5")
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ class Gate(Node):
 class Order:
     """A traced order: nodes run by ascending priority."""
 
-    priority: jax.Array = param(
+    priority: Leaf = param(
         (0.0,), (0.0, 1.0), "1", any_length=True, doc="one a node, in the order written; lowest first"
     )
 
@@ -351,7 +351,7 @@ class Shuffle(Node):
             yield from node.stages()
 
     def init(self) -> Params:
-        order = Order(priority=np.linspace(0, 1, len(self.nodes), dtype=np.float32))  # type: ignore[arg-type]
+        order = Order(priority=np.linspace(0, 1, len(self.nodes), dtype=np.float32))
         return {self.name: order, **{k: v for node in self.nodes for k, v in node.init().items()}}
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:

@@ -148,5 +148,8 @@ def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> D
 @functools.partial(jax.jit, static_argnums=0)
 def _repeat(recipe: Recipe, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
     _, noise = _keys(key, start, len(images))
-    one = lambda p, x, k: recipe.chain(p, x, key=k)  # noqa: E731
+
+    def one(params: Any, image: jax.Array, key: jax.Array) -> jax.Array:
+        return recipe.chain(params, image, key=key)
+
     return jax.vmap(one, in_axes=(batch_axes(params), 0, 0))(params, images, noise)

@@ -20,24 +20,24 @@ from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
 from jaxisp.stages.sensor import AdcQuantization
 
 CFA = "GRBG"
-PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))  # type: ignore[arg-type]
-CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))  # type: ignore[arg-type]
+PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
+CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))
 
 # The authors filter on a bilateral grid of 2-px cells and 1/32-level bins, cut at one sigma. These are
 # the standard deviations that come of it, interpolation in the grid included: 1.0 to 1.8 px and 0.018 to
 # 0.029 for luma. Their chroma reaches 34 px; ours is cut at 10, which a window of 8 px flattens further.
 BILATERAL = Bilateral(
-    luma_sigma_space=LogUniform(1.0, 1.8),  # type: ignore[arg-type]
-    luma_sigma_range=LogUniform(0.018, 0.029),  # type: ignore[arg-type]
-    chroma_sigma_space=LogUniform(2.2, 10.0),  # type: ignore[arg-type]
-    chroma_sigma_range=0.02,  # type: ignore[arg-type]
-    guide_gamma=0.5,  # type: ignore[arg-type]
+    luma_sigma_space=LogUniform(1.0, 1.8),
+    luma_sigma_range=LogUniform(0.018, 0.029),
+    chroma_sigma_space=LogUniform(2.2, 10.0),
+    chroma_sigma_range=0.02,
+    guide_gamma=0.5,
 )
 
 
 def awgn() -> Recipe:
     """White Gaussian noise in linear light, std 0 to 0.2."""
-    prior = {"gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.2))}  # type: ignore[arg-type]
+    prior = {"gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.2))}
     return _recipe("awgn", "white Gaussian noise, std 0 to 0.2", ("gaussian_noise",), prior)
 
 
@@ -143,10 +143,10 @@ def _phone(
     )
     prior = {
         "shot_read_noise": noise,
-        "adc_quantization": AdcQuantization(bits=14.0),  # type: ignore[arg-type]
+        "adc_quantization": AdcQuantization(bits=14.0),
         "bilateral": BILATERAL,
-        "unsharp_mask": UnsharpMask(amount=Uniform(0.0, 0.25), sigma=4.0, threshold=3 / 255),  # type: ignore[arg-type]
-        "jpeg_photoshop": JpegPhotoshop(level=Choice((4, 5, 6, 7))),  # type: ignore[arg-type]
+        "unsharp_mask": UnsharpMask(amount=Uniform(0.0, 0.25), sigma=4.0, threshold=3 / 255),
+        "jpeg_photoshop": JpegPhotoshop(level=Choice((4, 5, 6, 7))),
     }
     kept = {name: values for name, values in prior.items() if name not in drop}
     return Recipe(Chain(tuple(n for n in nodes if n.name not in drop), name), kept, description)

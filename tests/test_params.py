@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxisp.checks import InputError, check_finite, check_params
-from jaxisp.params import batch_axes, param, parameters, spec_tree, strong, to_bounded, to_unbounded
+from jaxisp.params import Leaf, batch_axes, param, parameters, spec_tree, strong, to_bounded, to_unbounded
 
 
 @parameters
 class Lens:
-    strength: jax.Array = param(0.5, (0.0, 2.0), "1", doc="share")
-    sigma: jax.Array = param(1.0, (0.1, 10.0), "px", log=True, doc="width")
-    gains: jax.Array = param((1.0, 2.0, 3.0), (0.5, 4.0), "1", doc="per channel")
-    knots: jax.Array = param((0.0, 0.0), (-1.0, 1.0), "1", any_length=True, doc="offsets")
+    strength: Leaf = param(0.5, (0.0, 2.0), "1", doc="share")
+    sigma: Leaf = param(1.0, (0.1, 10.0), "px", log=True, doc="width")
+    gains: Leaf = param((1.0, 2.0, 3.0), (0.5, 4.0), "1", doc="per channel")
+    knots: Leaf = param((0.0, 0.0), (-1.0, 1.0), "1", any_length=True, doc="offsets")
 
 
 def test_defaults_are_strong_float32():

@@ -10,7 +10,7 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.domains import RGB, EncodedRGB, LinearRGB, Mosaic
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import Chain, Gate, Shuffle, Stage, register, run, run_batch, sections, signature, stage
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
 from tests.conftest import smooth_image
@@ -18,17 +18,17 @@ from tests.conftest import smooth_image
 
 @parameters
 class Gain:
-    factor: jax.Array = param(2.0, (0.0, 4.0), "1", doc="factor")
+    factor: Leaf = param(2.0, (0.0, 4.0), "1", doc="factor")
 
 
 @parameters
 class Offset:
-    value: jax.Array = param(0.25, (-1.0, 1.0), "level", doc="offset")
+    value: Leaf = param(0.25, (-1.0, 1.0), "level", doc="offset")
 
 
 @parameters
 class Grain:
-    std: jax.Array = param(0.1, (0.0, 1.0), "level", doc="std")
+    std: Leaf = param(0.1, (0.0, 1.0), "level", doc="std")
 
 
 def gain(params: Gain, image: RGB) -> RGB:

@@ -191,10 +191,10 @@ def start(chain: Chain, shots: Sequence[Shot]) -> Params:
     matrix = np.linalg.lstsq(gain * source, wanted, rcond=None)[0].T
     matrix = np.clip(matrix, -3.9, 3.9).astype(np.float32)
     return params | {
-        "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),  # type: ignore[arg-type]
+        "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),
         "color_matrix": ColorMatrix(matrix=matrix),
-        "gamma_compression": Gamma(gamma=np.float32(1)),  # type: ignore[arg-type]
-        "zone_curve": ZoneCurve(offsets=np.zeros(model.ZONES, np.float32)),  # type: ignore[arg-type]
+        "gamma_compression": Gamma(gamma=np.float32(1)),
+        "zone_curve": ZoneCurve(offsets=np.zeros(model.ZONES, np.float32)),
     }
 
 

@@ -48,7 +48,7 @@ def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:
         return chain, {}
     encoder = stage("jpeg_tables", subsampling=jpeg.subsampling)
     tables = [np.asarray(t, np.float32) for t in (jpeg.luma_table, jpeg.chroma_table)]
-    params = {encoder.name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}  # type: ignore[arg-type]
+    params = {encoder.name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
     return Chain((*chain.nodes, encoder), chain.name), params
 
 

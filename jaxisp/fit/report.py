@@ -71,7 +71,7 @@ def parameter_rows(result: FitResult) -> list[tuple[str, str, str, str, str]]:
     rows = []
     for name, values in result.camera.prior.items():
         if name in SET_FROM_FILE:
-            rows.append((name, "", "set from each file", "", ""))
+            rows.append((name, "", "set from the file", "", ""))
             continue
         for field, spec in specs(type(values)).items():
             value = np.asarray(getattr(values, field))

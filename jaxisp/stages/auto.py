@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.numerics import planes, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
 DARKEST = 1e-6
@@ -66,9 +66,9 @@ def _with_gradient(value: jax.Array, plane: jax.Array) -> jax.Array:
 class AutoLevel:
     """Which luma becomes black and white."""
 
-    black: jax.Array = param(1.0, (0.0, 45.0), "%", doc="percentile of luma that becomes 0")
-    white: jax.Array = param(99.0, (55.0, 100.0), "%", doc="percentile of luma that becomes 1")
-    max_gain: jax.Array = param(1.5, (1.0, 16.0), "1", log=True, doc="largest gain")
+    black: Leaf = param(1.0, (0.0, 45.0), "%", doc="percentile of luma that becomes 0")
+    white: Leaf = param(99.0, (55.0, 100.0), "%", doc="percentile of luma that becomes 1")
+    max_gain: Leaf = param(1.5, (1.0, 16.0), "1", log=True, doc="largest gain")
 
 
 @register
@@ -99,8 +99,8 @@ def auto_level(params: AutoLevel, image: RGB) -> RGB:
 class AutoExposure:
     """How bright the image shall be."""
 
-    target: jax.Array = param(0.18, (0.02, 0.8), "level", doc="average luma after it")
-    max_gain_ev: jax.Array = param(3.0, (-4.0, 4.0), "EV", doc="largest gain")
+    target: Leaf = param(0.18, (0.02, 0.8), "level", doc="average luma after it")
+    max_gain_ev: Leaf = param(3.0, (-4.0, 4.0), "EV", doc="largest gain")
 
 
 @register
@@ -147,8 +147,8 @@ def _neutralise(image: jax.Array, colour: list[jax.Array], strength: jax.Array) 
 class GrayWorld:
     """How the illuminant is averaged, and how much of it is taken out."""
 
-    norm: jax.Array = param(6.0, (1.0, 20.0), "1", log=True, doc="1 is the mean, large the maximum")
-    strength: jax.Array = param(1.0, (0.0, 1.0), "1", doc="share of the correction, on a log scale")
+    norm: Leaf = param(6.0, (1.0, 20.0), "1", log=True, doc="1 is the mean, large the maximum")
+    strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="share of the correction, on a log scale")
 
 
 def _minkowski_mean(plane: jax.Array, norm: jax.Array) -> jax.Array:
@@ -188,8 +188,8 @@ def gray_world(params: GrayWorld, image: RGB) -> RGB:
 class WhitePatch:
     """Which level of each channel is taken for white, and how much of its colour is taken out."""
 
-    percentile: jax.Array = param(99.0, (50.0, 100.0), "%", doc="of each channel; 100 is its maximum")
-    strength: jax.Array = param(1.0, (0.0, 1.0), "1", doc="share of the correction, on a log scale")
+    percentile: Leaf = param(99.0, (50.0, 100.0), "%", doc="of each channel; 100 is its maximum")
+    strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="share of the correction, on a log scale")
 
 
 @register

@@ -8,7 +8,7 @@ from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_p
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
 from jaxisp.numerics import planes
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
 
@@ -16,7 +16,7 @@ from jaxisp.pipeline import register
 class WhiteBalance:
     """One gain a colour; green is 1 by convention."""
 
-    gains: jax.Array = param(
+    gains: Leaf = param(
         (1.0, 1.0, 1.0), (0.125, 8.0), "1", log=True, doc="multipliers of red, green and blue"
     )
 
@@ -70,16 +70,16 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGG
 class WhiteBalanceTemperature:
     """Two illuminants, each by temperature and distance from the Planckian locus. Defaults: D65."""
 
-    temperature: jax.Array = param(
+    temperature: Leaf = param(
         D65_TEMPERATURE, (2000.0, 12000.0), "K", log=True, doc="colour temperature white shall have"
     )
-    tint: jax.Array = param(
+    tint: Leaf = param(
         D65_TINT, (-0.03, 0.03), "Duv", doc="its distance from the locus: positive greenish, negative pinkish"
     )
-    source_temperature: jax.Array = param(
+    source_temperature: Leaf = param(
         D65_TEMPERATURE, (2000.0, 12000.0), "K", log=True, doc="colour temperature white has now"
     )
-    source_tint: jax.Array = param(D65_TINT, (-0.03, 0.03), "Duv", doc="its distance from the locus")
+    source_tint: Leaf = param(D65_TINT, (-0.03, 0.03), "Duv", doc="its distance from the locus")
 
 
 @register
@@ -118,7 +118,7 @@ def _bent_positive(x: jax.Array, knee: float = 0.01) -> jax.Array:
 class ColorMatrix:
     """A 3x3 matrix; rows that sum to 1 keep white."""
 
-    matrix: jax.Array = param(
+    matrix: Leaf = param(
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
         (-4.0, 4.0),
         "1",
@@ -150,7 +150,7 @@ def color_matrix(params: ColorMatrix, image: CameraRGB) -> LinearRGB:
 class Saturation:
     """Chroma gain."""
 
-    amount: jax.Array = param(1.0, (0.0, 4.0), "1", doc="0 is grey, 1 leaves the image as it is")
+    amount: Leaf = param(1.0, (0.0, 4.0), "1", doc="0 is grey, 1 leaves the image as it is")
 
 
 @register
@@ -179,7 +179,7 @@ def saturation(params: Saturation, image: RGB) -> RGB:
 class HueRotation:
     """Rotation of the chroma plane."""
 
-    angle: jax.Array = param(0.0, (-180.0, 180.0), "deg", doc="from Cb towards Cr")
+    angle: Leaf = param(0.0, (-180.0, 180.0), "deg", doc="from Cb towards Cr")
 
 
 @register

@@ -15,7 +15,7 @@ from jax import lax
 from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
 from jaxisp.numerics import per_plane, planes, safe_divide, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur, pad
 
@@ -27,7 +27,7 @@ _SMALLEST_DISC = 0.05  # px; below, the PSF is linear in the radius
 class OpticalBlur:
     """Width of the low-pass."""
 
-    sigma: jax.Array = param(0.5, (0.0, 4.0), "px", doc="standard deviation; 0 leaves the image as it is")
+    sigma: Leaf = param(0.5, (0.0, 4.0), "px", doc="standard deviation; 0 leaves the image as it is")
 
 
 @register
@@ -56,7 +56,7 @@ def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: int = 12) -> 
 class Defocus:
     """Size of the circle of confusion."""
 
-    disc_radius: jax.Array = param(0.0, (0.0, 8.0), "px", doc="of the disc; 0 leaves the image as it is")
+    disc_radius: Leaf = param(0.0, (0.0, 8.0), "px", doc="of the disc; 0 leaves the image as it is")
 
 
 @register
@@ -105,14 +105,14 @@ def _tent_integral(u: jax.Array) -> jax.Array:
 class MotionBlur:
     """A path of straight segments, as many as the vectors are long, and the boost of highlights."""
 
-    lengths: jax.Array = param(
+    lengths: Leaf = param(
         (0.0, 0.0, 0.0), (0.0, 8.0), "px", any_length=True, doc="of the segments; one of length 0 is absent"
     )
-    directions: jax.Array = param(
+    directions: Leaf = param(
         (0.0, 0.0, 0.0), (-180.0, 180.0), "deg", any_length=True, doc="0 to the right, 90 down, one a segment"
     )
-    threshold: jax.Array = param(0.99, (0.0, 2.0), "level", doc="luma above which a pixel is a highlight")
-    boost: jax.Array = param(0.0, (0.0, 100.0), "1", doc="share by which a highlight is really brighter")
+    threshold: Leaf = param(0.99, (0.0, 2.0), "level", doc="luma above which a pixel is a highlight")
+    boost: Leaf = param(0.0, (0.0, 100.0), "1", doc="share by which a highlight is really brighter")
 
 
 @register

@@ -6,7 +6,7 @@ from jax import lax
 
 from jaxisp.domains import Mosaic
 from jaxisp.numerics import straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise import pattern_key
 from jaxisp.windows import pad, square, views
@@ -16,8 +16,8 @@ from jaxisp.windows import pad, square, views
 class HotPixels:
     """How many, and what they read."""
 
-    density: jax.Array = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
-    level: jax.Array = param(1.0, (0.1, 2.0), "level", doc="what a hot photosite reads")
+    density: Leaf = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
+    level: Leaf = param(1.0, (0.1, 2.0), "level", doc="what a hot photosite reads")
 
 
 @register
@@ -48,8 +48,8 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
 class DeadPixels:
     """How many, and what they read."""
 
-    density: jax.Array = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
-    level: jax.Array = param(0.0, (-0.1, 0.1), "level", doc="what a dead photosite reads")
+    density: Leaf = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
+    level: Leaf = param(0.0, (-0.1, 0.1), "level", doc="what a dead photosite reads")
 
 
 @register
@@ -88,7 +88,7 @@ def _stuck(image: jax.Array, key: jax.Array, density: jax.Array, level: jax.Arra
 class DefectCorrection:
     """What counts as a defect."""
 
-    threshold: jax.Array = param(0.2, (0.0, 1.0), "level", doc="distance from the median that is left alone")
+    threshold: Leaf = param(0.2, (0.0, 1.0), "level", doc="distance from the median that is left alone")
 
 
 @register

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import RGB
 from jaxisp.numerics import per_plane, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur
 
@@ -14,9 +14,9 @@ from jaxisp.windows import gaussian_blur
 class UnsharpMask:
     """Strength, width and threshold of the mask."""
 
-    amount: jax.Array = param(0.5, (0.0, 4.0), "1", doc="share of the detail that is added")
-    sigma: jax.Array = param(1.5, (0.1, 4.0), "px", log=True, doc="standard deviation of the blur")
-    threshold: jax.Array = param(0.0, (0.0, 0.2), "level", doc="smaller detail is left alone")
+    amount: Leaf = param(0.5, (0.0, 4.0), "1", doc="share of the detail that is added")
+    sigma: Leaf = param(1.5, (0.1, 4.0), "px", log=True, doc="standard deviation of the blur")
+    threshold: Leaf = param(0.0, (0.0, 0.2), "level", doc="smaller detail is left alone")
 
 
 @register

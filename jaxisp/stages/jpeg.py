@@ -11,7 +11,7 @@ from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg_codec import SAMPLING, compress
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.numerics import clip_through, planes, round_through, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
 FIRST_FULL_LEVEL = 7
@@ -22,7 +22,7 @@ FIRST_FULL_LEVEL = 7
 class Jpeg:
     """The quality setting of libjpeg."""
 
-    quality: jax.Array = param(75.0, (1.0, 100.0), "quality", doc="libjpeg's 1 to 100, rounded")
+    quality: Leaf = param(75.0, (1.0, 100.0), "quality", doc="libjpeg's 1 to 100, rounded")
 
 
 @register
@@ -73,7 +73,7 @@ def _scaled_table(base: np.ndarray | jax.Array, quality: jax.Array) -> jax.Array
 class JpegPhotoshop:
     """The quality setting of Photoshop."""
 
-    level: jax.Array = param(8.0, (0.0, 12.0), "level", doc="Photoshop's 0 to 12, rounded")
+    level: Leaf = param(8.0, (0.0, 12.0), "level", doc="Photoshop's 0 to 12, rounded")
 
 
 @register
@@ -126,10 +126,10 @@ def _nested(table: np.ndarray) -> tuple[tuple[float, ...], ...]:
 class JpegTables:
     """Quantisation tables, row = vertical frequency; those of libjpeg's quality 75 unless given."""
 
-    luma_table: jax.Array = param(
+    luma_table: Leaf = param(
         _nested(quality_tables(75)[0]), (1.0, 255.0), "1", log=True, doc="of luma, natural order, rounded"
     )
-    chroma_table: jax.Array = param(
+    chroma_table: Leaf = param(
         _nested(quality_tables(75)[1]), (1.0, 255.0), "1", log=True, doc="of chroma, natural order, rounded"
     )
 

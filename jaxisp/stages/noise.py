@@ -13,7 +13,7 @@ from jax import lax
 from jaxisp.color import luma
 from jaxisp.domains import EncodedRGB, Image
 from jaxisp.numerics import planes, safe_sqrt, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import filter_rows_columns, gaussian_taps
 
@@ -44,7 +44,7 @@ def _filtered_normal(key: jax.Array, like: jax.Array, taps_y: jax.Array, taps_x:
 class GaussianNoise:
     """Strength."""
 
-    std: jax.Array = param(0.05, (0.0, 0.5), "level", doc="standard deviation")
+    std: Leaf = param(0.05, (0.0, 0.5), "level", doc="standard deviation")
 
 
 @register
@@ -72,8 +72,8 @@ def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Im
 class ShotReadNoise:
     """Variance as an affine function of light."""
 
-    shot: jax.Array = param(0.0004, (0.0, 0.1), "level", doc="variance per unit of light: sigma_p**2")
-    read: jax.Array = param(0.007, (0.0, 0.2), "level", doc="standard deviation in the dark")
+    shot: Leaf = param(0.0004, (0.0, 0.1), "level", doc="variance per unit of light: sigma_p**2")
+    read: Leaf = param(0.007, (0.0, 0.2), "level", doc="standard deviation in the dark")
 
 
 @register
@@ -103,8 +103,8 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
 class PoissonNoise:
     """Size of an electron, and the readout."""
 
-    gain: jax.Array = param(0.0004, (1e-5, 0.1), "level/e-", log=True, doc="level of one electron")
-    read: jax.Array = param(0.007, (0.0, 0.2), "level", doc="standard deviation in the dark")
+    gain: Leaf = param(0.0004, (1e-5, 0.1), "level/e-", log=True, doc="level of one electron")
+    read: Leaf = param(0.007, (0.0, 0.2), "level", doc="standard deviation in the dark")
 
 
 @register
@@ -174,7 +174,7 @@ def _expanded(sign: jax.Array, mean: jax.Array) -> jax.Array:
 class RowNoise:
     """Strength."""
 
-    std: jax.Array = param(0.005, (0.0, 0.1), "level", doc="standard deviation of the rows' offsets")
+    std: Leaf = param(0.005, (0.0, 0.1), "level", doc="standard deviation of the rows' offsets")
 
 
 @register
@@ -203,7 +203,7 @@ def row_noise(params: RowNoise, image: Image, *, key: jax.Array) -> Image:
 class ColumnNoise:
     """Strength."""
 
-    std: jax.Array = param(0.005, (0.0, 0.1), "level", doc="standard deviation of the columns' offsets")
+    std: Leaf = param(0.005, (0.0, 0.1), "level", doc="standard deviation of the columns' offsets")
 
 
 @register
@@ -234,7 +234,7 @@ def column_noise(params: ColumnNoise, image: Image, *, key: jax.Array, sensor: i
 class Prnu:
     """Photo-response nonuniformity."""
 
-    std: jax.Array = param(0.01, (0.0, 0.1), "1", doc="standard deviation of the pixels' gains")
+    std: Leaf = param(0.01, (0.0, 0.1), "1", doc="standard deviation of the pixels' gains")
 
 
 @register
@@ -263,9 +263,9 @@ def prnu(params: Prnu, image: Image, *, key: jax.Array, sensor: int | None = Non
 class CorrelatedNoise:
     """Strength, and correlation between neighbours."""
 
-    std: jax.Array = param(0.01, (0.0, 0.2), "level", doc="standard deviation")
-    horizontal: jax.Array = param(0.3, (-0.65, 0.65), "1", doc="correlation with the next pixel of the row")
-    vertical: jax.Array = param(0.0, (-0.65, 0.65), "1", doc="correlation with the next pixel of the column")
+    std: Leaf = param(0.01, (0.0, 0.2), "level", doc="standard deviation")
+    horizontal: Leaf = param(0.3, (-0.65, 0.65), "1", doc="correlation with the next pixel of the row")
+    vertical: Leaf = param(0.0, (-0.65, 0.65), "1", doc="correlation with the next pixel of the column")
 
 
 @register
@@ -303,8 +303,8 @@ def _correlating_taps(correlation: jax.Array) -> jax.Array:
 class HeavyTailedNoise:
     """Strength and weight of the tails."""
 
-    std: jax.Array = param(0.01, (0.0, 0.2), "level", doc="standard deviation")
-    tail: jax.Array = param(0.15, (0.0, 0.4), "1", doc="Tukey's h: 0 is Gaussian, above 0.25 no kurtosis")
+    std: Leaf = param(0.01, (0.0, 0.2), "level", doc="standard deviation")
+    tail: Leaf = param(0.15, (0.0, 0.4), "1", doc="Tukey's h: 0 is Gaussian, above 0.25 no kurtosis")
 
 
 @register
@@ -335,8 +335,8 @@ def heavy_tailed_noise(params: HeavyTailedNoise, image: Image, *, key: jax.Array
 class FilmGrain:
     """Strength and size of the grain."""
 
-    std: jax.Array = param(0.03, (0.0, 0.2), "level", doc="standard deviation in mid-grey")
-    sigma: jax.Array = param(0.8, (0.3, 2.0), "px", log=True, doc="size: standard deviation of the blur")
+    std: Leaf = param(0.03, (0.0, 0.2), "level", doc="standard deviation in mid-grey")
+    sigma: Leaf = param(0.8, (0.3, 2.0), "px", log=True, doc="size: standard deviation of the blur")
 
 
 @register

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxisp.domains import LinearRGB
 from jaxisp.numerics import planes
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.blur import defocus as defocus
 from jaxisp.stages.blur import motion_blur as motion_blur
@@ -27,7 +27,7 @@ _MOST_SHIFTS = 3  # px; beyond this displacement gathers cost less than sums ove
 class Exposure:
     """Exposure compensation."""
 
-    exposure_ev: jax.Array = param(0.0, (-8.0, 8.0), "EV", doc="one more doubles the light")
+    exposure_ev: Leaf = param(0.0, (-8.0, 8.0), "EV", doc="one more doubles the light")
 
 
 @register
@@ -54,8 +54,8 @@ def exposure(params: Exposure, image: LinearRGB) -> LinearRGB:
 class AffineExposure:
     """A gain and a pedestal."""
 
-    gain: jax.Array = param(1.0, (1 / 64, 64.0), "1", log=True, doc="multiplies the light")
-    offset: jax.Array = param(0.0, (-0.5, 0.5), "level", doc="is added after the gain")
+    gain: Leaf = param(1.0, (1 / 64, 64.0), "1", log=True, doc="multiplies the light")
+    offset: Leaf = param(0.0, (-0.5, 0.5), "level", doc="is added after the gain")
 
 
 @register
@@ -82,8 +82,8 @@ def affine_exposure(params: AffineExposure, image: LinearRGB) -> LinearRGB:
 class LateralChromaticAberration:
     """Magnification of red and blue against green."""
 
-    red_scale: jax.Array = param(1.0, (0.99, 1.01), "1", doc="above 1 red is larger than green")
-    blue_scale: jax.Array = param(1.0, (0.99, 1.01), "1", doc="above 1 blue is larger than green")
+    red_scale: Leaf = param(1.0, (0.99, 1.01), "1", doc="above 1 red is larger than green")
+    blue_scale: Leaf = param(1.0, (0.99, 1.01), "1", doc="above 1 blue is larger than green")
 
 
 @register
@@ -138,8 +138,8 @@ def _tent(u: jax.Array) -> jax.Array:
 class GeometricDistortion:
     """Radial distortion; monotone over the whole range, so no part of the scene shows twice."""
 
-    k1: jax.Array = param(0.0, (-0.2, 0.2), "1", doc="coefficient of r**2; positive is barrel distortion")
-    k2: jax.Array = param(0.0, (-0.07, 0.07), "1", doc="coefficient of r**4")
+    k1: Leaf = param(0.0, (-0.2, 0.2), "1", doc="coefficient of r**2; positive is barrel distortion")
+    k2: Leaf = param(0.0, (-0.07, 0.07), "1", doc="coefficient of r**4")
 
 
 @register
@@ -191,9 +191,9 @@ def _displaced(image: jax.Array, dy: jax.Array, dx: jax.Array) -> jax.Array:
 class Vignetting:
     """Coefficients of the gain in EV; their sum is the gain in the corners."""
 
-    a2: jax.Array = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**2; negative darkens the corners")
-    a4: jax.Array = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**4")
-    a6: jax.Array = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**6")
+    a2: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**2; negative darkens the corners")
+    a4: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**4")
+    a6: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**6")
 
 
 @register
@@ -223,10 +223,10 @@ def vignetting(params: Vignetting, image: LinearRGB) -> LinearRGB:
 class ColorShading:
     """Coefficients of the gains of red and blue against green, in EV."""
 
-    red_a2: jax.Array = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for red")
-    red_a4: jax.Array = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for red")
-    blue_a2: jax.Array = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for blue")
-    blue_a4: jax.Array = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for blue")
+    red_a2: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for red")
+    red_a4: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for red")
+    blue_a2: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for blue")
+    blue_a4: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for blue")
 
 
 @register
@@ -264,7 +264,7 @@ def _radial_gain(r2: jax.Array, *coefficients: jax.Array) -> jax.Array:
 class VeilingGlare:
     """Stray light."""
 
-    share: jax.Array = param(0.0, (0.0, 0.5), "1", doc="of the light that is spread over the frame")
+    share: Leaf = param(0.0, (0.0, 0.5), "1", doc="of the light that is spread over the frame")
 
 
 @register

@@ -9,7 +9,7 @@ from jax import lax
 
 from jaxisp.domains import RGB
 from jaxisp.numerics import per_plane, safe_divide
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
 
@@ -89,7 +89,7 @@ def _on_both_axes(plane: jax.Array, rows: jax.Array, columns: jax.Array) -> jax.
 class Resampling:
     """How far the picture was shrunk before it was enlarged again."""
 
-    factor: jax.Array = param(1.5, (1.0, 4.0), "1", log=True, doc="size over the smaller size")
+    factor: Leaf = param(1.5, (1.0, 4.0), "1", log=True, doc="size over the smaller size")
 
 
 @register

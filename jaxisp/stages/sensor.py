@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxisp import cfa as bayer
 from jaxisp.domains import Image, LinearRGB, Mosaic
 from jaxisp.numerics import clip_through, planes, round_through, straight_through
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import pad, views
 
@@ -38,7 +38,7 @@ def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
 class BlackLevel:
     """A pedestal."""
 
-    offset: jax.Array = param(0.0, (-0.25, 0.25), "level", doc="what is added to every value")
+    offset: Leaf = param(0.0, (-0.25, 0.25), "level", doc="what is added to every value")
 
 
 @register
@@ -65,13 +65,13 @@ def black_level(params: BlackLevel, image: Image) -> Image:
 class Linearization:
     """Where black and white lie in the recorded numbers."""
 
-    black: jax.Array = param(
+    black: Leaf = param(
         (0.0, 0.0, 0.0, 0.0),
         (0.0, 0.25),
         "full scale",
         doc="level of black at the four places of the 2x2 cell, row by row",
     )
-    white: jax.Array = param(1.0, (0.3, 2.0), "full scale", log=True, doc="level of white")
+    white: Leaf = param(1.0, (0.3, 2.0), "full scale", log=True, doc="level of white")
 
 
 @register
@@ -107,7 +107,7 @@ def linearization(params: Linearization, image: Mosaic) -> Mosaic:
 class AdcQuantization:
     """Depth of the converter."""
 
-    bits: jax.Array = param(14.0, (2.0, 16.0), "bit", doc="rounded to a whole number")
+    bits: Leaf = param(14.0, (2.0, 16.0), "bit", doc="rounded to a whole number")
 
 
 @register
@@ -141,7 +141,7 @@ def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = Fa
 class Clip:
     """Where the sensor saturates."""
 
-    white: jax.Array = param(1.0, (0.3, 2.0), "level", log=True, doc="larger values become this")
+    white: Leaf = param(1.0, (0.3, 2.0), "level", log=True, doc="larger values become this")
 
 
 @register
@@ -177,7 +177,7 @@ def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> 
 class GreenImbalance:
     """Difference between the two greens."""
 
-    difference: jax.Array = param(
+    difference: Leaf = param(
         0.02, (-0.2, 0.2), "1", doc="gain of green in red's rows less that of green in blue's rows"
     )
 
@@ -214,11 +214,11 @@ def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: str = "RGGB")
 class Crosstalk:
     """Shares of a photosite's light that its neighbours get."""
 
-    horizontal: jax.Array = param(
+    horizontal: Leaf = param(
         0.03, (-0.1, 0.3), "1", doc="share that goes left and right, half to each; below 0 undoes it"
     )
-    vertical: jax.Array = param(0.03, (-0.1, 0.3), "1", doc="share that goes up and down")
-    diagonal: jax.Array = param(0.01, (-0.1, 0.3), "1", doc="share that goes to the four diagonal neighbours")
+    vertical: Leaf = param(0.03, (-0.1, 0.3), "1", doc="share that goes up and down")
+    diagonal: Leaf = param(0.01, (-0.1, 0.3), "1", doc="share that goes to the four diagonal neighbours")
 
 
 @register

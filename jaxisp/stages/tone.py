@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.numerics import planes
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
 Curve = Callable[[jax.Array], jax.Array]
@@ -63,7 +63,7 @@ def _inverse_power(y: jax.Array, exponent: jax.Array) -> jax.Array:
 class Gamma:
     """The exponent's inverse."""
 
-    gamma: jax.Array = param(2.2, (0.6, 4.0), "1", log=True, doc="above 1 lifts the shadows")
+    gamma: Leaf = param(2.2, (0.6, 4.0), "1", log=True, doc="above 1 lifts the shadows")
 
 
 @register
@@ -111,8 +111,8 @@ def gamma_expansion(params: Gamma, image: RGB) -> RGB:
 class SCurve:
     """Contrast about a midpoint."""
 
-    strength: jax.Array = param(0.5, (-2.0, 2.0), "1", doc="log of the slope at the midpoint; 0 is off")
-    midpoint: jax.Array = param(0.5, (0.1, 0.9), "level", doc="the level that stays and where it is steepest")
+    strength: Leaf = param(0.5, (-2.0, 2.0), "1", doc="log of the slope at the midpoint; 0 is off")
+    midpoint: Leaf = param(0.5, (0.1, 0.9), "level", doc="the level that stays and where it is steepest")
 
 
 def _s_curve(x: jax.Array, strength: jax.Array, midpoint: jax.Array) -> jax.Array:
@@ -179,7 +179,7 @@ def inverse_s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
 class ToneCurve:
     """Contrast of the paper's cubic."""
 
-    amount: jax.Array = param(
+    amount: Leaf = param(
         0.2, (-0.9, 0.45), "1", doc="a fifth of it is what is taken off at 1/4 and added at 3/4; 0 is off"
     )
 
@@ -221,7 +221,7 @@ def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
 class ZoneCurve:
     """Lift of each zone, from the shadows to the highlights."""
 
-    offsets: jax.Array = param(
+    offsets: Leaf = param(
         (0.0, 0.0, 0.0), (-0.5, 0.5), "zone", any_length=True, doc="lift of each zone, darkest first"
     )
 
@@ -262,7 +262,7 @@ def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
 class Gray18Gamma:
     """Contrast about middle grey."""
 
-    gamma: jax.Array = param(1.0, (0.4, 1.6), "1", log=True, doc="log-log slope at 18 %; below 1 is flatter")
+    gamma: Leaf = param(1.0, (0.4, 1.6), "1", log=True, doc="log-log slope at 18 %; below 1 is flatter")
 
 
 @register
@@ -294,8 +294,8 @@ def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: str = "channels") -> RG
 class HighlightRolloff:
     """Where the shoulder starts, and what it takes to white."""
 
-    start: jax.Array = param(0.8, (0.1, 0.95), "level", doc="below it nothing changes")
-    white: jax.Array = param(2.0, (1.0, 16.0), "level", log=True, doc="the level that becomes 1; 1 is off")
+    start: Leaf = param(0.8, (0.1, 0.95), "level", doc="below it nothing changes")
+    white: Leaf = param(2.0, (1.0, 16.0), "level", log=True, doc="the level that becomes 1; 1 is off")
 
 
 @register

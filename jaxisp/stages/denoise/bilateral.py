@@ -13,7 +13,7 @@ from jaxisp import numerics
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.numerics import materialize
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.windows import views
@@ -30,15 +30,15 @@ _EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0
 class Bilateral:
     """Widths in space and in value for luma and chroma, and the curve that luma is compared on."""
 
-    luma_sigma_space: jax.Array = param(1.5, (0.3, 5.0), "px", log=True, doc="spatial width for luma")
-    luma_sigma_range: jax.Array = param(
+    luma_sigma_space: Leaf = param(1.5, (0.3, 5.0), "px", log=True, doc="spatial width for luma")
+    luma_sigma_range: Leaf = param(
         0.05, (0.005, 1.0), "level", log=True, doc="luma difference, after guide_gamma, that still averages"
     )
-    chroma_sigma_space: jax.Array = param(3.0, (0.3, 10.0), "px", log=True, doc="spatial width for chroma")
-    chroma_sigma_range: jax.Array = param(
+    chroma_sigma_space: Leaf = param(3.0, (0.3, 10.0), "px", log=True, doc="spatial width for chroma")
+    chroma_sigma_range: Leaf = param(
         0.1, (0.005, 1.0), "level", log=True, doc="difference of the filtered luma that still averages chroma"
     )
-    guide_gamma: jax.Array = param(
+    guide_gamma: Leaf = param(
         1.0, (0.1, 2.0), "1", log=True, doc="power of luma before it is compared; below 1 spares shadows"
     )
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.numerics import materialize, planes
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.stages.denoise.networks import MEDIANS
@@ -57,7 +57,7 @@ median_plane.defvjp(_median_forward, _median_backward)
 class Median:
     """How much of the filtered image is taken."""
 
-    strength: jax.Array = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
+    strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
 
 
 @register

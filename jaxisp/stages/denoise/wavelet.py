@@ -9,7 +9,7 @@ import numpy as np
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.numerics import materialize, planes
-from jaxisp.params import param, parameters
+from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.dwt import SCALING, analyse, synthesise
 
@@ -20,13 +20,13 @@ METHODS = ("bayes", "visu", "fixed")
 class WaveletCoring:
     """The noise to remove, and how eagerly."""
 
-    luma_sigma: jax.Array = param(
+    luma_sigma: Leaf = param(
         0.01, (1e-4, 0.3), "level", log=True, doc="standard deviation of the noise in luma"
     )
-    chroma_sigma: jax.Array = param(
+    chroma_sigma: Leaf = param(
         0.01, (1e-4, 0.3), "level", log=True, doc="standard deviation of the noise in Cb and Cr"
     )
-    strength: jax.Array = param(1.0, (0.0, 4.0), "1", doc="multiplies every threshold; 0 keeps the image")
+    strength: Leaf = param(1.0, (0.0, 4.0), "1", doc="multiplies every threshold; 0 keeps the image")
 
 
 @register
