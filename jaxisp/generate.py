@@ -1,7 +1,6 @@
 """Degrade files: clean photographs in, a clean+noisy data set out, each image with its parameters."""
 
 import dataclasses
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -40,12 +39,6 @@ class Outcome:
             "seconds": round(self.seconds, 3),
             "failed": [{"file": name, "reason": reason} for name, reason in self.failed],
         }
-
-    def report_failures(self) -> int:
-        """List failed inputs on standard error; the exit status."""
-        for _, reason in self.failed:
-            print(f"jaxisp: {reason}", file=sys.stderr)
-        return 2 if self.failed else 0
 
 
 @dataclasses.dataclass(frozen=True)

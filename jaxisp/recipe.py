@@ -108,6 +108,8 @@ class Recipe:
                 raise InputError(
                     f"a recipe has name, description, meta, stages and params; got {sorted(table)}"
                 )
+            if not isinstance(table.get("meta", {}), dict):
+                raise InputError(f"meta must be a table, got {table['meta']!r}")
             nodes = tuple(decode_node(t) for t in table["stages"])
             chain = Chain(nodes, str(table.get("name", "recipe")))
             params = decode_params(table.get("params", {}), chain)

@@ -109,6 +109,7 @@ def test_find_recipe(tmp_path):
     [
         ("stages = 3", "a recipe has"),
         ("stages = [", "r.toml:"),
+        ('meta = 3\nstages = [{stage = "unsharp_mask"}]', "meta must be a table"),
         ('stages = [{stage = "sharpen"}]', "no stage named 'sharpen'"),
         (
             'stages = [{stage = "unsharp_mask"}]\n[params.unsharp_mask]\namount = 99.0',

@@ -43,6 +43,14 @@ def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
+def report_failures(failed: Iterable[tuple[str, str]]) -> int:
+    """List inputs that could not be used on standard error, a line each; the exit status."""
+    reasons = [reason for _, reason in failed]
+    for reason in reasons:
+        print(f"jaxisp: {' '.join(reason.split())}", file=sys.stderr)
+    return 2 if reasons else 0
+
+
 @contextmanager
 def progress(label: str) -> Iterator[Any]:
     """`tick(done, total, text)` drawn on standard error, on a terminal only."""

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
 
 
 def add_commands(commands: Any) -> None:
@@ -41,4 +41,4 @@ def run(arguments: Namespace) -> int:
     else:
         rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
         print(f"{done.images} images in {rate} -> {arguments.out}")
-    return done.report_failures()
+    return report_failures(done.failed)

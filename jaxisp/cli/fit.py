@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, print_table, progress
+from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
 
 
 def add_commands(commands: Any) -> None:
@@ -31,7 +31,7 @@ def run(arguments: Namespace) -> int:
         write_report(result, arguments.report)
     if arguments.json:
         print_json({"camera": arguments.out, **result.as_dict()})
-        return 0
+        return report_failures(result.failed)
     rows = [
         (p.name, f"{p.psnr:.2f}", f"{p.ssim:.4f}", f"{p.held_out_psnr:.2f}", f"{p.held_out_ssim:.4f}",
          f"{p.shift[0]:+.2f} {p.shift[1]:+.2f}")
@@ -39,4 +39,4 @@ def run(arguments: Namespace) -> int:
     ]  # fmt: skip
     print_table(("pair", "PSNR fitted", "SSIM", "PSNR held out", "SSIM", "shift [px]"), rows)
     print(f"{arguments.out} in {result.seconds:.0f} s; held out: {result.how}")
-    return 0
+    return report_failures(result.failed)

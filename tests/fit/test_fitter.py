@@ -1,11 +1,13 @@
 """The fitter on the reference phone, whose code it does not share."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from jaxisp.camera import develop
+from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import fit_dataset, fit_examples, fitter, model
 from jaxisp.fit.align import Alignment
@@ -98,24 +100,26 @@ def test_the_fit_moves_towards_its_own_parameters(folder):
 
 def test_another_scene_is_refused_with_its_figure(folder):
     other = example(folder)
-    wrong = dataclasses.replace(
-        other, picture=np.ascontiguousarray(scene("coffee", SIZE)) ** (1 / 2.2), jpeg=None
-    )
-    wrong = dataclasses.replace(
-        wrong, picture=np.resize(wrong.picture, other.picture.shape).astype(np.float32)
-    )
+    coffee = scene("coffee", SIZE).astype(np.float32) ** (1 / 2.2)
+    wrong = dataclasses.replace(other, picture=coffee, jpeg=None)
     with pytest.raises(InputError, match=r"do not show the same scene \(correlation"):
         fit_examples([wrong], steps=1)
 
 
-def test_one_bad_pair_does_not_stop_the_others(folder, tmp_path):
+def test_one_bad_pair_does_not_stop_the_others(tmp_path, capsys):
     write_pairs(tmp_path, PHONES["a"], {"astronaut": scene("astronaut", SIZE)})
     (tmp_path / "broken.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes()[:3000])
     (tmp_path / "broken.jpg").write_bytes((tmp_path / "astronaut.jpg").read_bytes())
     (tmp_path / "alone.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes())
-    result = fit_dataset(tmp_path, steps=2, demosaic="demosaic_bilinear")
-    assert [p.name for p in result.pairs] == ["astronaut"]
-    assert {"broken", "alone"} <= {name.rpartition("/")[2].removesuffix(".dng") for name, _ in result.failed}
+    out = tmp_path / "out" / "camera.toml"
+    call = ["fit", str(tmp_path), "-o", str(out), "--steps", "2", "--demosaic", "demosaic_bilinear", "--json"]
+    assert main(call) == 2
+    printed, errors = capsys.readouterr()
+    assert [p["name"] for p in json.loads(printed)["pairs"]] == ["astronaut"]
+    assert Recipe.load(out).name == "fitted"
+    lines = errors.strip().splitlines()
+    assert len(lines) == 2
+    assert all(sum(f"{name}.dng" in line for line in lines) == 1 for name in ("broken", "alone"))
 
 
 def test_the_report_is_one_file_without_requests(result, tmp_path):
