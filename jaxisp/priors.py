@@ -135,19 +135,27 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
     return prior
 
 
-def draw(key: jax.Array, prior: dict[str, Any]) -> dict[str, Any]:
+def draw(key: jax.Array, prior: dict[str, Any], like: dict[str, Any] | None = None) -> dict[str, Any]:
     """Draw parameters. Each is drawn from its own key, folded in by name, so that adding or
-    removing one leaves the others' draws as they were."""
+    removing one leaves the others' draws as they were.
 
-    def one(path: str, spec: Spec, value: Any) -> jax.Array:
+    Args:
+        key: of this draw.
+        prior: distributions and constants.
+        like: parameters whose shapes are drawn; the specs' unless given.
+    """
+
+    def one(path: str, spec: Spec, value: Any, like: Any) -> jax.Array:
         if not is_distribution(value):
             return jnp.asarray(value, jnp.float32)
         own = jax.random.fold_in(key, zlib.crc32(path.encode()) & 0x7FFFFFFF)
-        return value.sample(own, spec.shape).astype(jnp.float32)
+        return value.sample(own, spec.shape if like is None else np.shape(like)).astype(jnp.float32)
 
-    return {
-        stage: type(tree)(
-            **{f: one(f"{stage}.{f}", s, getattr(tree, f)) for f, s in specs(type(tree)).items()}
+    def tree(stage: str, values: Any) -> Any:
+        shapes = None if like is None else like[stage]
+        fields = specs(type(values)).items()
+        return type(values)(
+            **{f: one(f"{stage}.{f}", s, getattr(values, f), getattr(shapes, f, None)) for f, s in fields}
         )
-        for stage, tree in prior.items()
-    }
+
+    return {stage: tree(stage, values) for stage, values in prior.items()}

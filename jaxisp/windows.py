@@ -11,23 +11,28 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.numerics import safe_divide
+from jaxisp.linear import inner_product, linear_call, scaled
+from jaxisp.numerics import materialize, safe_divide
+
+_MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 
 def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") -> jax.Array:
     """Pad by (rows, columns) on each side and store the result.
 
     Args:
-        plane: (H, W).
+        plane: (H, W), or (H, W, C).
         radius: one number, or (rows, columns).
         mode: "reflect" (the edge pixel is not repeated: keeps the phase of a mosaic), "edge",
-            "symmetric". Any size works, also one smaller than the radius.
+            "symmetric", "constant" (0). Any size works, also one smaller than the radius.
     """
     ry, rx = (radius, radius) if isinstance(radius, int) else radius
     if mode == "reflect" and any(n < 2 and r for n, r in zip(plane.shape, (ry, rx))):
         mode = "edge"  # a single row or column has nothing to reflect
-    return lax.optimization_barrier(jnp.pad(plane, ((ry, ry), (rx, rx)), mode=mode))
+    width = ((ry, ry), (rx, rx), *[(0, 0)] * (plane.ndim - 2))
+    return lax.optimization_barrier(jnp.pad(plane, width, mode=mode))
 
 
 def views(
@@ -46,51 +51,87 @@ def square(radius: int) -> list[tuple[int, int]]:
 
 
 def filter_rows_columns(
-    plane: jax.Array,
+    image: jax.Array,
     taps_y: Sequence[Any] | jax.Array,
     taps_x: Sequence[Any] | jax.Array,
     mode: str = "reflect",
 ) -> jax.Array:
-    """Correlate an (H, W) plane with the outer product of two odd-length tap vectors.
+    """Correlate an (H, W) plane or (H, W, C) image with the outer product of two odd-length tap vectors.
 
-    Gradient: exact, to the plane and to the taps (reverse mode only).
+    An interleaved image is filtered as it is, which is faster than plane by plane.
+
+    Gradient: exact, to the image and to the taps.
     """
-    taps_y, taps_x = (jnp.asarray(taps, plane.dtype) for taps in (taps_y, taps_x))
-    return _filter_columns(_filter_columns(plane, taps_y, mode).T, taps_x, mode).T
+    taps_y, taps_x = (jnp.asarray(taps, image.dtype) for taps in (taps_y, taps_x))
+    return _filter(materialize(_filter(image, taps_x, 1, mode)), taps_y, 0, mode)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(2,))
-def _filter_columns(plane: jax.Array, taps: jax.Array, mode: str) -> jax.Array:
-    """`y[i] = sum_k taps[k] x[i + k - r]` down each column."""
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _filter(image: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.Array:
+    """`y[i] = sum_k taps[k] x[i + k - r]` along an axis."""
+    return _weighted(_padded(image, taps.shape[0] // 2, axis, mode), taps, axis)
+
+
+def _filter_jvp(axis: int, mode: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    """Both transposes are written as reads: autodiff of the slices is many times slower on a CPU."""
+    image, taps = primals
+    image_change, taps_change = tangents
+    y = _filter(image, taps, axis, mode)
+    change = jnp.zeros_like(y)
+    if not isinstance(image_change, SymbolicZero):
+        change = _filter_linearly(image_change, taps, axis, mode)
+    if not isinstance(taps_change, SymbolicZero):
+        padded = _padded(image, taps.shape[0] // 2, axis, mode)
+        change += linear_call(
+            lambda p, t: _weighted(p, t, axis), lambda p, y: _products(p, y, axis), padded, taps_change
+        )
+    return y, change
+
+
+_filter.defjvp(_filter_jvp, symbolic_zeros=True)
+
+
+def _filter_linearly(image: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.Array:
+    """`_filter`, as a linear map of the image."""
+    return linear_call(
+        lambda t, x: _filter(x, t, axis, mode), lambda t, y: _spread(y, t, axis, mode), taps, image
+    )
+
+
+def _spread(cotangent: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.Array:
+    """The transpose of `_filter`: the flipped taps over a wider frame, then its border folded back."""
     r = taps.shape[0] // 2
-    return _weighted(pad(plane, (r, 0), mode), taps, plane.shape[0])
+    wide = _weighted(_padded(cotangent, 2 * r, axis, "constant"), taps[::-1], axis)
+    return jax.linear_transpose(lambda x: _padded(x, r, axis, mode), cotangent)(materialize(wide))[0]
 
 
-def _filter_forward(plane: jax.Array, taps: jax.Array, mode: str) -> tuple[jax.Array, Any]:
-    return _filter_columns(plane, taps, mode), (plane, taps)
+def _products(padded: jax.Array, cotangent: jax.Array, axis: int) -> jax.Array:
+    """The inner product of each shifted view with the cotangent."""
+    taps = padded.shape[axis] - cotangent.shape[axis] + 1
+    flat = cotangent.reshape(cotangent.shape[0], -1)
+    return jnp.stack([inner_product(flat, v) for v in _shifts(padded, taps, axis)])
 
 
-def _filter_backward(mode: str, saved: Any, cotangent: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The adjoint, written as reads: autodiff of the slices is hundreds of times slower on a CPU."""
-    plane, taps = saved
-    n, r = plane.shape[0], taps.shape[0] // 2
-    padded = pad(plane, (r, 0), mode)
-    to_taps = jnp.stack([jnp.vdot(cotangent, padded[k : k + n]) for k in range(2 * r + 1)])
-    if mode != "reflect" or not 0 < r < n:  # rare or small: leave the folding of the border to autodiff
-        (to_plane,) = jax.vjp(lambda x: _weighted(pad(x, (r, 0), mode), taps, n), plane)[1](cotangent)
-        return to_plane, to_taps
-    spread = lax.optimization_barrier(jnp.pad(cotangent, ((2 * r, 2 * r), (0, 0))))
-    whole = _weighted(spread, taps[::-1], n + 2 * r)
-    top = jnp.pad(whole[:r][::-1], ((1, n - r - 1), (0, 0)))
-    bottom = jnp.pad(whole[n + r :][::-1], ((n - r - 1, 1), (0, 0)))
-    return whole[r : r + n] + top + bottom, to_taps
+def _padded(image: jax.Array, radius: int, axis: int, mode: str) -> jax.Array:
+    return pad(image, (radius, 0) if axis == 0 else (0, radius), mode)
 
 
-_filter_columns.defvjp(_filter_forward, _filter_backward)
+def _shifts(padded: jax.Array, taps: int, axis: int) -> list[jax.Array]:
+    """The views of a padded image that the taps weigh, as rows of interleaved pixels."""
+    flat = padded.reshape(padded.shape[0], -1)
+    step = 1 if axis == 0 else flat.shape[1] // padded.shape[1]
+    length = flat.shape[axis] - (taps - 1) * step
+    return [lax.slice_in_dim(flat, k * step, k * step + length, axis=axis) for k in range(taps)]
 
 
-def _weighted(padded: jax.Array, taps: jax.Array, length: int) -> jax.Array:
-    return reduce(jnp.add, [taps[k] * padded[k : k + length] for k in range(taps.shape[0])])
+def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
+    """`sum_k taps[k] x[i + k]` along an axis."""
+    count = taps.shape[0]
+    terms = [taps[k] * v for k, v in enumerate(_shifts(padded, count, axis))]
+    parts = [reduce(jnp.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
+    shape = list(padded.shape)
+    shape[axis] -= count - 1
+    return reduce(lambda total, part: materialize(total) + part, parts).reshape(shape)
 
 
 def gaussian_taps(sigma: Any, radius: int) -> jax.Array:
@@ -106,10 +147,37 @@ def gaussian_taps(sigma: Any, radius: int) -> jax.Array:
     return weights / weights.sum()
 
 
-def gaussian_blur(plane: jax.Array, sigma: Any, radius: int) -> jax.Array:
-    """Separable Gaussian blur of an (H, W) plane, borders reflected.
+def gaussian_blur(image: jax.Array, sigma: Any, radius: int) -> jax.Array:
+    """Separable Gaussian blur of an (H, W) plane or (H, W, C) image, borders reflected.
 
-    Gradient: exact, to the plane and to sigma (reverse mode only).
+    Gradient: exact, to the image and to sigma.
     """
-    taps = gaussian_taps(sigma, radius).astype(plane.dtype)
-    return filter_rows_columns(plane, taps, taps)
+    return _gaussian(image, jnp.asarray(sigma, image.dtype), radius)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _gaussian(image: jax.Array, sigma: jax.Array, radius: int) -> jax.Array:
+    taps = gaussian_taps(sigma, radius)
+    return filter_rows_columns(image, taps, taps)
+
+
+def _gaussian_jvp(radius: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    """The slope to sigma is three more filters; through the taps it would be one sum a tap."""
+    image, sigma = primals
+    image_change, sigma_change = tangents
+    taps, slope = jax.jvp(lambda s: gaussian_taps(s, radius), (sigma,), (jnp.ones_like(sigma),))
+    # along the rows first: that filter takes twice as long as along the columns, and is needed less often so
+    rows = materialize(_filter(image, taps, 1, "reflect"))
+    y = _filter(rows, taps, 0, "reflect")
+    change = jnp.zeros_like(y)
+    if not isinstance(image_change, SymbolicZero):
+        half = materialize(_filter_linearly(image_change, taps, 1, "reflect"))
+        change = _filter_linearly(half, taps, 0, "reflect")
+    if not isinstance(sigma_change, SymbolicZero):
+        steep = materialize(_filter(image, slope, 1, "reflect"))
+        by_sigma = _filter(rows, slope, 0, "reflect") + _filter(steep, taps, 0, "reflect")
+        change += scaled(sigma_change, by_sigma)
+    return y, change
+
+
+_gaussian.defjvp(_gaussian_jvp, symbolic_zeros=True)

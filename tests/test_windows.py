@@ -7,7 +7,7 @@ import pytest
 import scipy.ndimage as ndi
 from jax.test_util import check_grads
 
-from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
+from jaxisp.windows import _MOST_TAPS, filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 
 
 @pytest.mark.parametrize("shape", [(21, 34), (9, 5), (3, 40), (1, 7), (2, 2)])
@@ -17,16 +17,50 @@ def test_filter_matches_scipy(shape, rng, x64):
     np.testing.assert_allclose(filter_rows_columns(x, jnp.asarray(ty), jnp.asarray(tx)), want, atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(11, 8), (4, 9), (3, 3), (1, 6)])
-def test_filter_gradient(shape, rng, x64):
+@pytest.mark.parametrize(
+    "mode, scipys", [("reflect", "mirror"), ("symmetric", "reflect"), ("edge", "nearest")]
+)
+def test_filter_of_an_interleaved_image(mode, scipys, rng, x64):
+    x, ty, tx = rng.standard_normal((9, 14, 3)), rng.standard_normal(5), rng.standard_normal(7)
+    want = ndi.correlate1d(ndi.correlate1d(x, ty, axis=0, mode=scipys), tx, axis=1, mode=scipys)
+    np.testing.assert_allclose(filter_rows_columns(x, ty, tx, mode), want, atol=1e-12)
+
+
+def test_filter_with_more_taps_than_a_kernel_takes(rng, x64):
+    x, taps = rng.standard_normal((90, 83)), rng.standard_normal(2 * _MOST_TAPS + 3)
+    want = ndi.correlate1d(ndi.correlate1d(x, taps, axis=0, mode="mirror"), taps, axis=1, mode="mirror")
+    np.testing.assert_allclose(jax.jit(filter_rows_columns)(x, taps, taps), want, atol=1e-10)
+
+
+@pytest.mark.parametrize("mode", ["reflect", "symmetric", "edge"])
+@pytest.mark.parametrize("shape", [(11, 8), (4, 9, 3), (3, 3), (1, 6)])
+def test_filter_gradient(shape, mode, rng, x64):
     x, ty, tx = (jnp.asarray(rng.standard_normal(s)) for s in (shape, 7, 5))
-    check_grads(filter_rows_columns, (x, ty, tx), order=1, modes=["rev"], rtol=1e-6)
+    fn = jax.jit(lambda *v: filter_rows_columns(*v, mode))
+    check_grads(fn, (x, ty, tx), order=1, modes=["fwd", "rev"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("axes", [(0, 0), (None, 0), (0, None)])
+def test_blur_gradient_in_both_modes_and_twice(axes, rng, x64):
+    """Under vmap too, with a sigma per image or one for all: the forms that fitting and diagnosis use."""
+    x, sigma = jnp.asarray(rng.standard_normal((2, 6, 5, 3))), jnp.array([0.8, 1.7])
+    arguments = [v if a == 0 else v[0] for v, a in zip((x, sigma), axes)]
+    fn = jax.jit(jax.vmap(lambda v, s: gaussian_blur(v, s, 2), axes))
+    check_grads(fn, arguments, order=2 if axes == (0, 0) else 1, modes=["fwd", "rev"], rtol=1e-5)
+
+
+def test_blur_tangent_agrees_with_its_cotangent_in_single_precision(rng):
+    x, w = jnp.asarray(rng.random((2, 40, 33, 3)), jnp.float32)
+    _, forward = jax.jvp(lambda s: gaussian_blur(x, s, 6), (jnp.float32(1.4),), (jnp.float32(1),))
+    backward = jax.grad(lambda s: jnp.sum(gaussian_blur(x, s, 6) * w))(jnp.float32(1.4))
+    np.testing.assert_allclose(backward, np.sum(forward * w), rtol=1e-4)
 
 
 def test_filter_gradient_under_vmap_is_that_of_a_loop(rng):
     x = jnp.asarray(rng.standard_normal((3, 12, 9)), jnp.float32)
-    slope = jax.grad(lambda p: jnp.sum(gaussian_blur(p, 1.3, 4) ** 3))
-    np.testing.assert_allclose(jax.vmap(slope)(x), jnp.stack([slope(p) for p in x]), rtol=1e-4, atol=1e-5)
+    slope = jax.jit(jax.grad(lambda p: jnp.sum(gaussian_blur(p, 1.3, 4) ** 3)))
+    together = jax.jit(jax.vmap(slope))(x)
+    np.testing.assert_allclose(together, jnp.stack([slope(p) for p in x]), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 2.5])

@@ -49,7 +49,7 @@ def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: int = 12) -> 
     Source: Zhang, Zerubia & Olivo-Marin 2007, "Gaussian approximations of fluorescence microscope
     point-spread function models", for the Airy disc.
     """
-    return per_plane(lambda plane: gaussian_blur(plane, params.sigma, radius), image)
+    return gaussian_blur(image, params.sigma, radius)
 
 
 @parameters

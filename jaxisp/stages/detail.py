@@ -1,10 +1,11 @@
-"""Detail and size: unsharp masking, resizing, rounding to output levels."""
+"""Detail: unsharp masking."""
 
 import jax
 import jax.numpy as jnp
 
 from jaxisp.domains import RGB
-from jaxisp.numerics import per_plane, straight_through
+from jaxisp.linear import pointwise
+from jaxisp.numerics import materialize, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur
@@ -37,12 +38,12 @@ def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: int = 12) -> RGB:
 
     Source: Jaroensri et al. 2019, section 3; Polesel, Ramponi & Mathews 2000.
     """
+    # stored, or the blur would be done again by everything that reads the detail
+    detail = image - materialize(gaussian_blur(image, params.sigma, radius))
+    return pointwise(_sharpened, (image, detail), params.amount, params.threshold)
 
-    def sharpen(plane: jax.Array) -> jax.Array:
-        detail = plane - gaussian_blur(plane, params.sigma, radius)
-        excess = jnp.abs(detail) - params.threshold
-        soft = jax.nn.sigmoid(excess / (0.05 * params.threshold + 1e-4))
-        gate = straight_through((excess > 0).astype(plane.dtype), soft)
-        return plane + params.amount * gate * detail
 
-    return per_plane(sharpen, image)
+def _sharpened(x: jax.Array, detail: jax.Array, amount: jax.Array, threshold: jax.Array) -> jax.Array:
+    excess = jnp.abs(detail) - threshold
+    soft = jax.nn.sigmoid(excess / (0.05 * threshold + 1e-4))
+    return x + amount * straight_through((excess > 0).astype(x.dtype), soft) * detail

@@ -15,7 +15,7 @@ from jaxisp.domains import EncodedRGB, Image
 from jaxisp.numerics import planes, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.windows import filter_rows_columns, gaussian_taps
+from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps
 
 
 def pattern_key(key: jax.Array, sensor: int | None, name: str) -> jax.Array:
@@ -361,7 +361,10 @@ def film_grain(params: FilmGrain, image: EncodedRGB, *, key: jax.Array, radius: 
     the variance of the covered share u of an area goes as u (1 - u).
     """
     taps = gaussian_taps(params.sigma, radius).astype(image.dtype)
-    taps = taps / jnp.sqrt(jnp.sum(taps * taps))
+    height, width = image.shape[:2]
+    # on a larger frame, so that the borders have the same statistics as the rest
+    drawn = _normal(key, image, (height + 2 * radius, width + 2 * radius))
+    blurred = gaussian_blur(drawn, params.sigma, radius)[radius : radius + height, radius : radius + width]
     y = jnp.clip(luma(*planes(image)), 0, 1)
     strength = 2 * params.std.astype(image.dtype) * safe_sqrt(y * (1 - y))
-    return image + (strength * _filtered_normal(key, image, taps, taps))[..., None]
+    return image + (strength * blurred / jnp.sum(taps * taps))[..., None]

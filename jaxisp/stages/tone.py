@@ -11,22 +11,23 @@ import jax.numpy as jnp
 
 from jaxisp.color import luma
 from jaxisp.domains import RGB
+from jaxisp.linear import pointwise
 from jaxisp.numerics import planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
-Curve = Callable[[jax.Array], jax.Array]
+Curve = Callable[..., jax.Array]
 
 TOE = 1e-3
 """Below it a power gives way to a parabola, whose slope at 0 is finite."""
 
 
-def _apply(curve: Curve, image: jax.Array, on: str) -> jax.Array:
+def _apply(curve: Curve, image: jax.Array, on: str, *scalars: jax.Array) -> jax.Array:
     if on == "channels":
-        return curve(image)
+        return pointwise(curve, (image,), *scalars)
     if on == "luma":
         y = luma(*planes(image))
-        return image + (curve(y) - y)[..., None]
+        return image + (pointwise(curve, (y,), *scalars) - y)[..., None]
     raise ValueError(f'on={on!r} is neither "luma" nor "channels"')
 
 
@@ -84,7 +85,7 @@ def gamma_compression(params: Gamma, image: RGB) -> RGB:
 
     Source: Jaroensri et al. 2019, section 3; Poynton 2012, chapter 27.
     """
-    return _power(image, 1 / params.gamma)
+    return pointwise(_power, (image,), 1 / params.gamma)
 
 
 @register
@@ -104,7 +105,7 @@ def gamma_expansion(params: Gamma, image: RGB) -> RGB:
 
     Source: Jaroensri et al. 2019, section 3; Poynton 2012, chapter 27.
     """
-    return _inverse_power(image, 1 / params.gamma)
+    return pointwise(_inverse_power, (image,), 1 / params.gamma)
 
 
 @parameters
@@ -148,7 +149,7 @@ def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
 
     Source: Schlick 1994, "Fast alternatives to Perlin's bias and gain functions".
     """
-    return _apply(lambda x: _s_curve(x, params.strength, params.midpoint), image, on)
+    return _apply(_s_curve, image, on, params.strength, params.midpoint)
 
 
 @register
@@ -172,7 +173,7 @@ def inverse_s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
 
     Source: Schlick 1994, "Fast alternatives to Perlin's bias and gain functions".
     """
-    return _apply(lambda x: _s_curve(x, -params.strength, params.midpoint), image, on)
+    return _apply(_s_curve, image, on, -params.strength, params.midpoint)
 
 
 @parameters
@@ -206,15 +207,15 @@ def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
 
     Source: Jaroensri et al. 2019, section 3 (tone curve).
     """
-    a = 0.2 * params.amount
-    end_slope = 1 - 32 * a / 3
 
-    def curve(x: jax.Array) -> jax.Array:
+    def curve(x: jax.Array, amount: jax.Array) -> jax.Array:
+        a = 0.2 * amount
+        end_slope = 1 - 32 * a / 3
         inside = jnp.clip(x, 0.0, 1.0)
         cubic = inside * (end_slope + inside * (32 * a - inside * (64 * a / 3)))
         return cubic + end_slope * (x - inside)
 
-    return _apply(curve, image, on)
+    return _apply(curve, image, on, params.amount)
 
 
 @parameters
@@ -250,12 +251,12 @@ def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
     """
     zones = params.offsets.shape[0]
 
-    def curve(x: jax.Array) -> jax.Array:
+    def curve(x: jax.Array, *offsets: jax.Array) -> jax.Array:
         at = x * (zones + 1)
-        tents = [params.offsets[i] * jnp.maximum(0.0, 1 - jnp.abs(at - (i + 1))) for i in range(zones)]
+        tents = [offsets[i] * jnp.maximum(0.0, 1 - jnp.abs(at - (i + 1))) for i in range(zones)]
         return x + sum(tents, jnp.zeros_like(x)) / (zones + 1)
 
-    return _apply(curve, image, on)
+    return _apply(curve, image, on, *params.offsets)
 
 
 @parameters
@@ -287,7 +288,7 @@ def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: str = "channels") -> RG
 
     Source: Jaroensri et al. 2019, released code (Gray18Gamma), without its offset of 0.001.
     """
-    return _apply(lambda x: 0.18 * _power(x / 0.18, params.gamma), image, on)
+    return _apply(lambda x, gamma: 0.18 * _power(x / 0.18, gamma), image, on, params.gamma)
 
 
 @parameters
@@ -321,12 +322,12 @@ def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: str = "channe
 
     Source: Reinhard et al. 2002, equation 4, started at a level instead of at 0.
     """
-    span = 1 - params.start
-    white = (params.white - params.start) / span
 
-    def curve(x: jax.Array) -> jax.Array:
-        t = jnp.maximum(x - params.start, 0.0) / span
-        shoulder = params.start + span * t * (1 + t / (white * white)) / (1 + t)
-        return jnp.where(x > params.start, shoulder, x)
+    def curve(x: jax.Array, start: jax.Array, white: jax.Array) -> jax.Array:
+        span = 1 - start
+        top = (white - start) / span
+        t = jnp.maximum(x - start, 0.0) / span
+        shoulder = start + span * t * (1 + t / (top * top)) / (1 + t)
+        return jnp.where(x > start, shoulder, x)
 
-    return _apply(curve, image, on)
+    return _apply(curve, image, on, params.start, params.white)

@@ -97,6 +97,24 @@ def test_gradient_equals_finite_differences(rng, x64):
     np.testing.assert_allclose(got, (ends[0] - ends[1]) / (2 * h), rtol=1e-7)
 
 
+def test_forward_mode_is_the_transpose_of_reverse_mode(rng, x64):
+    """To all arguments, jitted and vmapped: <J v, c> = <v, J' c>, and J v by finite differences."""
+    a, b, guide = rng.uniform(0, 1, (3, 2, 9, 13))
+    arguments = (a, b), guide, np.array([1.2, 2.5]), np.array([0.2, 0.4])
+    change = jax.tree.map(lambda x: rng.standard_normal(x.shape), arguments)
+    cotangent = tuple(rng.standard_normal((2, *a.shape)))
+    batched = jax.jit(jax.vmap(lambda *x: bilateral_planes(*x, 2)))
+    out, tangent = jax.jit(lambda x, d: jax.jvp(batched, x, d))(arguments, change)
+    pulled = jax.jit(lambda x, c: jax.vjp(batched, *x)[1](c))(arguments, cotangent)
+    leaves = jax.tree.leaves
+    inner = sum(np.sum(x * y) for x, y in zip(leaves(pulled), leaves(change)))
+    np.testing.assert_allclose(sum(np.sum(t * c) for t, c in zip(tangent, cotangent)), inner, rtol=1e-10)
+    ends = [batched(*jax.tree.map(lambda x, d: x + h * d, arguments, change)) for h in (1e-6, -1e-6)]  # noqa: B023
+    for now, t, up, down in zip(out, tangent, *ends):
+        np.testing.assert_allclose(t, (up - down) / 2e-6, atol=1e-6)
+        assert np.abs(now - (up + down) / 2).max() < 1e-6
+
+
 def test_float32_gradient_of_sigmas(rng):
     """sigma_range goes by a scaling identity, which must not cost precision."""
     plane = smooth_image((25, 34))

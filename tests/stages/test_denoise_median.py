@@ -92,6 +92,20 @@ def test_ties_share_the_gradient(footprint):
     np.testing.assert_allclose(got, want, atol=1e-6)
 
 
+@pytest.mark.parametrize("footprint", FOOTPRINTS)
+@pytest.mark.parametrize("ties", [False, True])
+def test_forward_mode_is_the_transpose_of_reverse_mode(footprint, ties, rng, x64):
+    planes = rng.integers(0, 4, (2, 7, 9)).astype(float) if ties else rng.standard_normal((2, 7, 9))
+    change, cotangent = rng.standard_normal((2, *planes.shape))
+    batched = jax.jit(jax.vmap(lambda x: median_plane(x, footprint)))
+    _, tangent = jax.jvp(batched, (planes,), (change,))
+    (pulled,) = jax.vjp(batched, planes)[1](jnp.asarray(cotangent))
+    np.testing.assert_allclose(np.sum(tangent * cotangent), np.sum(pulled * change), rtol=1e-11)
+    if not ties:
+        moved = (batched(planes + 1e-7 * change) - batched(planes - 1e-7 * change)) / 2e-7
+        np.testing.assert_allclose(tangent, moved, atol=1e-6)
+
+
 def test_strength_flags_and_iterations():
     image = smooth_image((21, 34, 3)).astype(np.float32)
     grey = np.stack([image[..., 0]] * 3, -1)

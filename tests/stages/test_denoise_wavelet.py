@@ -55,6 +55,18 @@ def test_transform_gradient_is_the_transpose(shape, rng, x64):
     np.testing.assert_allclose(sum(np.sum(s * b) for s, b in zip(slope, bands)), np.sum(back * weights))
 
 
+def test_transform_is_linear_in_forward_mode(rng, x64):
+    plane, change = rng.standard_normal((2, 2, 8, 13))
+    transform = jax.jit(jax.vmap(lambda x: analyse(x, "db2")))
+    bands, tangent = jax.jvp(transform, (plane,), (change,))
+    for t, want in zip(tangent, transform(change)):
+        np.testing.assert_allclose(t, want, atol=1e-12)
+    inverse = jax.jit(jax.vmap(lambda b: synthesise(b, (8, 13), "db2")))
+    back, moved = jax.jvp(inverse, (bands,), (tangent,))
+    np.testing.assert_allclose(back, plane, atol=1e-12)
+    np.testing.assert_allclose(moved, change, atol=1e-12)
+
+
 @pytest.mark.parametrize("method, name", [("bayes", "BayesShrink"), ("visu", "VisuShrink")])
 @pytest.mark.parametrize("wavelet, shape", [("db2", (45, 62)), ("sym4", (57, 62))])
 def test_shrinkage_equals_scikit_image(method, name, wavelet, shape, rng, x64):

@@ -67,7 +67,7 @@ def test_every_quality_is_pillows(subsampling, kind):
 
 
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
-@pytest.mark.parametrize("shape", [(1, 1), (9, 4), (17, 5), (40, 33)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 35), (2, 19), (7, 9), (9, 4), (17, 5), (17, 33)])
 def test_every_size_is_pillows(subsampling, shape):
     qualities = np.array([1, 30, 75, 98])
     image = picture(shape, "noise")
@@ -77,13 +77,33 @@ def test_every_size_is_pillows(subsampling, shape):
 
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
 def test_custom_tables_are_pillows(subsampling, rng):
-    run = jax.jit(functools.partial(jpeg_tables, subsampling=subsampling))
-    image = picture((30, 41))
-    for low, high in ((1, 3), (1, 255), (20, 60)):
-        luma, chroma = rng.integers(low, high + 1, (2, 8, 8))
-        got = run(JpegTables(luma_table=np.float32(luma), chroma_table=np.float32(chroma)), floats(image))
-        want = pillow(image, subsampling, qtables=[luma.ravel().tolist(), chroma.ravel().tolist()])
-        np.testing.assert_array_equal(levels(got), want)
+    """Another picture and other tables in each place of a batch."""
+    run = jax.jit(jax.vmap(functools.partial(jpeg_tables, subsampling=subsampling)))
+    tables = np.stack([rng.integers(low, high + 1, (2, 8, 8)) for low, high in ((1, 3), (1, 255), (20, 60))])
+    images = np.stack([picture((30, 41), kind) for kind in ("smooth", "noise", "binary")])
+    luma, chroma = np.moveaxis(tables, 1, 0).astype(np.float32)
+    got = run(JpegTables(luma_table=luma, chroma_table=chroma), floats(images))
+    want = [pillow(i, subsampling, qtables=t.reshape(2, 64).tolist()) for i, t in zip(images, tables)]
+    np.testing.assert_array_equal(levels(got), want)
+
+
+def test_coarsest_tables_on_the_strongest_pictures_are_exact():
+    """Where the sums inside are largest: blocks made of one basis function each, full swing."""
+    y, x, v, u = np.ogrid[:8, :8, :8, :8]
+    waves = np.cos((2 * y + 1) * v * np.pi / 16) * np.cos((2 * x + 1) * u * np.pi / 16) >= 0
+    image = (255 * waves.transpose(2, 0, 3, 1).reshape(64, 64, 1).repeat(3, 2)).astype(np.uint8)
+    run = jax.jit(jax.vmap(functools.partial(jpeg_tables, subsampling="4:4:4"), in_axes=(0, None)))
+    steps = np.array([1, 7, 128, 200, 255])
+    tables = np.broadcast_to(steps[:, None, None], (5, 8, 8))
+    got = run(JpegTables(luma_table=np.float32(tables), chroma_table=np.float32(tables)), floats(image))
+    want = [pillow(image, "4:4:4", qtables=[t.ravel().tolist()] * 2) for t in tables]
+    np.testing.assert_array_equal(levels(got), want)
+
+
+def test_without_compilation_it_is_pillows():
+    image = picture((7, 9))
+    got = jpeg(Jpeg(quality=jnp.float32(50)), jnp.asarray(floats(image)), subsampling="4:4:4")
+    np.testing.assert_array_equal(levels(got), pillow(image, "4:4:4", quality=50))
 
 
 def test_photoshop_levels_are_pillows_with_their_tables():
@@ -138,6 +158,22 @@ def test_phase_places_a_crop_on_the_grid_of_its_file(subsampling, margin):
     np.testing.assert_array_equal(levels(run(params, crop))[inside], decoded[5:, 11:][inside])
     unaware = levels(by_quality(subsampling)(np.float32([60]), crop))[0]
     assert (unaware[inside] != decoded[5:, 11:][inside]).any()
+
+
+def test_second_compression_on_another_grid_is_pillows():
+    """A file decoded, cropped off its grid and saved again, as the stage twice: the first with a phase."""
+    whole = picture((64, 80))
+    cropped = pillow(whole, "4:4:4", quality=40)[5:, 11:]
+    twice = pillow(cropped, "4:4:4", quality=85)
+
+    @jax.jit
+    def run(first, second, image):
+        once = jpeg(Jpeg(quality=first), image, subsampling="4:4:4", row_phase=5, column_phase=11)
+        return jpeg(Jpeg(quality=second), once, subsampling="4:4:4")
+
+    got = levels(run(np.float32(40), np.float32(85), floats(whole[5:, 11:])))
+    np.testing.assert_array_equal(got[8:, 8:], twice[8:, 8:])
+    assert (pillow(whole[5:, 11:], "4:4:4", quality=85)[8:, 8:] != twice[8:, 8:]).any()
 
 
 def test_input_is_clipped_and_rounded_like_an_encoders():
@@ -201,6 +237,25 @@ def test_image_gradient_is_straight_through_without_subsampling():
     params = Jpeg(quality=jnp.float32(95))
     gradient = jax.jit(jax.grad(lambda x: jnp.sum(jpeg(params, x, subsampling="4:4:4") * weights)))(image)
     np.testing.assert_allclose(gradient, weights, atol=1e-5)
+
+
+def test_forward_and_reverse_mode_agree():
+    rng = np.random.default_rng(0)
+    image = jnp.asarray(floats(picture((18, 27))))
+    d_image, weights = (jnp.asarray(rng.standard_normal(image.shape), jnp.float32) for _ in range(2))
+
+    @jax.jit
+    def both(quality):
+        def fn(quality, x):
+            return jpeg(Jpeg(quality=quality), x)
+
+        change = jax.jvp(fn, (quality, image), (jnp.float32(1), d_image))[1]
+        slopes = jax.vjp(fn, quality, image)[1](weights)
+        return jnp.vdot(change, weights), slopes[0] + jnp.vdot(slopes[1], d_image), slopes[0]
+
+    forward, reverse, to_quality = both(jnp.float32(60))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-4)
+    assert to_quality != 0
 
 
 def test_table_gradient_follows_the_error():

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.pipeline import run, stage
+from jaxisp.pipeline import REGISTRY, run, stage
 
 REFERENCES = {
     "srgb_oetf": colour.models.eotf_inverse_sRGB,
@@ -74,6 +74,18 @@ def test_slope_at_black_at_white_and_below(name, x64):
     np.testing.assert_allclose(got, want, rtol=1e-5)
     linear = {"srgb": 12.92, "rec709": 4.5, "prophoto": 16.0}[name.split("_")[0]]
     assert abs(got[0] - (linear if name.endswith("oetf") else 1 / linear)) < 1e-9
+
+
+@pytest.mark.parametrize("name", sorted(REFERENCES))
+def test_slope_in_single_precision_is_finite_and_positive(name):
+    node, at = stage(name), jnp.float32([0.0, -0.0, 1.0, -1.0, 1e-30, -1e-30, 1e-42, 4.0])
+    slope = jax.jit(jax.vmap(jax.grad(lambda x: node({}, jnp.full((1, 1, 3), x))[0, 0, 0])))(at)
+    assert (np.isfinite(slope) & (np.asarray(slope) > 0)).all()
+
+
+def test_every_transfer_function_has_a_reference():
+    names = {n for n, fn in REGISTRY.items() if fn.__module__ == "jaxisp.stages.transfer"}
+    assert names == set(REFERENCES)
 
 
 def test_legacy_curves_are_the_published_formulas(x64):

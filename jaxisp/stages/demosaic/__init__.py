@@ -6,6 +6,7 @@ from jaxisp.stages.demosaic.hibbard import demosaic_hibbard
 from jaxisp.stages.demosaic.malvar import demosaic_malvar
 from jaxisp.stages.demosaic.median import color_difference_median
 from jaxisp.stages.demosaic.menon import demosaic_menon
+from jaxisp.stages.demosaic.strips import reach
 
 __all__ = [
     "color_difference_median",
@@ -14,4 +15,5 @@ __all__ = [
     "demosaic_hibbard",
     "demosaic_malvar",
     "demosaic_menon",
+    "reach",
 ]

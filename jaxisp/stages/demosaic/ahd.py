@@ -1,24 +1,37 @@
 """Hirakawa & Parks's adaptive homogeneity-directed demosaicking."""
 
-from functools import reduce
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from jaxisp.color import SRGB_TO_XYZ
+from jaxisp.cfa import check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import Planes, Sites, directional_greens, sites, spread_differences
+from jaxisp.stages.demosaic.common import (
+    Pair,
+    Planes,
+    Sites,
+    clamped_greens,
+    collect_clamped_greens,
+    collect_differences,
+    collect_greens,
+    directional_greens,
+    sites,
+    spread_differences,
+)
+from jaxisp.stages.demosaic.homogeneity import homogeneity_lead
+from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
-from jaxisp.windows import pad, square, views
-
-_GROUP = 12  # window offsets a fused kernel, three planes each
+from jaxisp.windows import pad
 
 
 @register
-def demosaic_ahd(image: Mosaic, *, cfa: str = "RGGB", delta: int = 2, median_passes: int = 0) -> CameraRGB:
+def demosaic_ahd(
+    image: Mosaic, *, cfa: str = "RGGB", delta: int = 2, median_passes: int = 0, variant: str = "paper"
+) -> CameraRGB:
     """Interpolate along rows and along columns, and keep at each pixel the one that looks more homogeneous.
 
     Homogeneity is the number of pixels p within `delta` for which `|L(p) - L| <= eps_L` and
@@ -33,97 +46,119 @@ def demosaic_ahd(image: Mosaic, *, cfa: str = "RGGB", delta: int = 2, median_pas
         delta: radius of the ball in which homogeneity is counted [px].
         median_passes: passes of the colour-difference median; 0 keeps the measured samples, the paper
             takes a few: less false colour, at some cost to fine detail.
+        variant: "paper", or "libraw": green is kept between its two neighbours along the direction, the
+            candidates' red and blue are clipped to [0, 1], and the candidates are averaged where they
+            are equally homogeneous. LibRaw has `delta` 1.
 
     Returns:
         (H, W, 3) camera RGB. Borders are reflected in phase.
 
     Raises:
-        ValueError: cfa is not a Bayer pattern, delta is below 1 or median_passes negative.
+        ValueError: cfa is not a Bayer pattern, delta is below 1, median_passes negative or variant unknown.
 
-    Gradient: surrogate: the choice of direction is held constant, exact in all else.
+    Gradient: surrogate: the choice of direction is held constant (and LibRaw's of a neighbour), exact in
+    all else.
 
-    Source: Hirakawa & Parks 2005, with the green filter [-1, 2, 2, 2, -1] / 4.
+    Source: Hirakawa & Parks 2005, with the green filter [-1, 2, 2, 2, -1] / 4; the variant: Coffin's
+    dcraw, as LibRaw 0.22 has it.
     """
+    check_cfa(cfa)
     if delta < 1:
         raise ValueError(f"demosaic_ahd: delta must be 1 or more, got {delta}")
-    at = sites(image.shape, cfa)
-    greens = materialize(directional_greens(at, image))
+    if variant not in ("paper", "libraw"):
+        raise ValueError(f"demosaic_ahd: variant {variant!r} is neither 'paper' nor 'libraw'")
+    how = _Options(cfa, delta, variant == "libraw", axis=0 if median_passes else -1)
+    forward = partial(_decided, how)
+    adjoint = mirrored(forward, partial(_collect, how), image.shape, how.axis)
+    picture = piecewise_linear(partial(_evaluate, how), forward, adjoint)(image)
+    if not median_passes:
+        return picture
+    red, green, blue = picture
+    return jnp.stack(smooth_differences((red, green, blue), median_passes), axis=-1)
+
+
+def reach(delta: int = 2, median_passes: int = 0) -> int:
+    """How far from a pixel its result depends on the mosaic [px]."""
+    return 4 + delta + 2 * median_passes
+
+
+class _Options(NamedTuple):
+    cfa: str
+    delta: int
+    libraw: bool
+    axis: int  # of the colours in the picture
+
+
+def _evaluate(how: _Options, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    """The picture, and the decisions: the share of the candidate along rows, then LibRaw's."""
+    at = sites(image.shape, how.cfa)
+    if how.libraw:
+        greens, choices = materialize(clamped_greens(at, image))
+    else:
+        greens, choices = materialize(directional_greens(at, image)), ()
     rows, columns = (materialize(_candidate(at, image, green)) for green in greens)
-    by_rows = _more_homogeneous(rows, columns, delta)
-    chosen = tuple(jnp.where(by_rows, r, c) for r, c in zip(rows, columns, strict=True))
-    if median_passes:
-        chosen = smooth_differences(materialize(chosen), median_passes)
-    return jnp.stack(chosen, axis=-1)
+    within = ()
+    if how.libraw:
+        red_and_blue = (rows[0], rows[2], columns[0], columns[2])
+        within = tuple((plane >= 0) & (plane <= 1) for plane in red_and_blue)
+        rows, columns = materialize((_clipped(rows), _clipped(columns)))
+    lead = homogeneity_lead(rows, columns, how.delta)
+    on_tie = 0.5 if how.libraw else 0.0
+    share = jnp.where(lead > 0, 1.0, jnp.where(lead < 0, 0.0, on_tie)).astype(image.dtype)
+    return _blend(how, share, rows, columns), (share, *choices, *within)
+
+
+def _decided(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:
+    """The derivative, with all decisions given: linear in the tangent, which comes last."""
+    *decisions, image = rest
+    at = sites(image.shape, how.cfa)
+    if how.libraw:
+        greens, _ = clamped_greens(at, image, (decisions[0], decisions[1]))
+    else:
+        greens = directional_greens(at, image)
+    rows, columns = (materialize(_candidate(at, image, green)) for green in materialize(greens))
+    if how.libraw:
+        rows, columns = _masked(rows, *decisions[2:4]), _masked(columns, *decisions[4:6])
+    return _blend(how, share, rows, columns)
 
 
 def _candidate(at: Sites, mosaic: jax.Array, green: jax.Array) -> Planes:
-    red_green, blue_green = spread_differences(at, mosaic - green)
+    red_green, blue_green = spread_differences(at, pad(mosaic - green, 1))
     return green + red_green, green, green + blue_green
 
 
-def _more_homogeneous(rows: Planes, columns: Planes, delta: int) -> jax.Array:
-    """Where the candidate interpolated along rows has the greater homogeneity."""
-    lab_rows, lab_columns = (materialize(_lab(lax.stop_gradient(c))) for c in (rows, columns))
-    padded_rows, padded_columns = ([pad(p, delta) for p in lab] for lab in (lab_rows, lab_columns))
-    luma_rows, chroma_rows = _spread(padded_rows, [(0, -1), (0, 1)], delta)
-    luma_columns, chroma_columns = _spread(padded_columns, [(-1, 0), (1, 0)], delta)
-    tolerance = materialize((jnp.minimum(luma_rows, luma_columns), jnp.minimum(chroma_rows, chroma_columns)))
-    lead = _count(padded_rows, tolerance, delta) - _count(padded_columns, tolerance, delta)
-    around = views(pad(materialize(lead), 1), square(1), 1)
-    return reduce(jnp.add, around) > 0  # whole numbers: the sum is exact
+def _clipped(rgb: Planes) -> Planes:
+    return jnp.clip(rgb[0], 0, 1), rgb[1], jnp.clip(rgb[2], 0, 1)
 
 
-def _distances(
-    padded: list[jax.Array], offsets: list[tuple[int, int]], delta: int
-) -> list[tuple[jax.Array, jax.Array]]:
-    """(|dL|, da**2 + db**2) to the pixel at each offset."""
-    luma, a, b = (views(p, [(0, 0), *offsets], delta) for p in padded)
-    return [
-        (jnp.abs(luma[i] - luma[0]), (a[i] - a[0]) ** 2 + (b[i] - b[0]) ** 2)
-        for i in range(1, len(offsets) + 1)
-    ]
+def _masked(rgb: Planes, red_within: jax.Array, blue_within: jax.Array) -> Planes:
+    return jnp.where(red_within, rgb[0], 0), rgb[1], jnp.where(blue_within, rgb[2], 0)
 
 
-def _spread(
-    padded: list[jax.Array], offsets: list[tuple[int, int]], delta: int
-) -> tuple[jax.Array, jax.Array]:
-    (luma, chroma), (luma_too, chroma_too) = _distances(padded, offsets, delta)
-    return jnp.maximum(luma, luma_too), jnp.maximum(chroma, chroma_too)
+def _blend(how: _Options, share: jax.Array, rows: Planes, columns: Planes) -> jax.Array:
+    def of(row: jax.Array, column: jax.Array) -> jax.Array:
+        other = jnp.where(share == 0, column, 0.5 * (row + column)) if how.libraw else column
+        return jnp.where(share == 1, row, other)
+
+    return jnp.stack([of(r, c) for r, c in zip(rows, columns, strict=True)], axis=how.axis)
 
 
-def _count(padded: list[jax.Array], tolerance: tuple[jax.Array, jax.Array], delta: int) -> jax.Array:
-    """How many pixels of the ball are within the tolerance; the centre, which always is, is left out."""
-    span = range(-delta, delta + 1)
-    ball = [(y, x) for y in span for x in span if 0 < y * y + x * x <= delta * delta]
-    total = jnp.zeros_like(tolerance[0])
-    for start in range(0, len(ball), _GROUP):
-        for luma, chroma in _distances(padded, ball[start : start + _GROUP], delta):
-            total += ((luma <= tolerance[0]) & (chroma <= tolerance[1])).astype(total.dtype)
-        total = materialize(total)
-    return total
-
-
-def _lab(rgb: Planes) -> Planes:
-    """CIELAB of linear sRGB, D65, on any finite value."""
-    red, green, blue = rgb
-    matrix = SRGB_TO_XYZ / SRGB_TO_XYZ.sum(axis=1, keepdims=True)
-    x, y, z = (_lab_curve(float(m[0]) * red + float(m[1]) * green + float(m[2]) * blue) for m in matrix)
-    return 116 * y - 16, 500 * (x - y), 200 * (y - z)
-
-
-def _lab_curve(t: jax.Array) -> jax.Array:
-    knee = (6 / 29) ** 3
-    return jnp.where(t > knee, _cube_root(jnp.maximum(t, knee)), t * (29 / 6) ** 2 / 3 + 4 / 29)
-
-
-def _cube_root(t: jax.Array) -> jax.Array:
-    """The cube root of a positive plane: a third of the float's bits, then Halley's steps.
-
-    Several times faster on a CPU than jnp.cbrt.
-    """
-    bits = lax.bitcast_convert_type(t.astype(jnp.float32), jnp.int32)
-    root = lax.bitcast_convert_type(bits // 3 + 0x2A5137A0, jnp.float32).astype(t.dtype)
-    for _ in range(2 if t.dtype == jnp.float32 else 3):  # 3e-2 off, then 1e-5, then rounding
-        cube = root * root * root
-        root = root * (cube + 2 * t) / (2 * cube + t)
-    return root
+def _collect(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:
+    """The adjoint of `_decided`; the cotangent comes last."""
+    *decisions, cotangent = rest
+    at = sites(share.shape, how.cfa)
+    rgb = materialize(tuple(jnp.moveaxis(cotangent, how.axis, 0)))
+    rows: Planes = tuple(share * p for p in rgb)
+    columns: Planes = tuple((1 - share) * p for p in rgb)
+    if how.libraw:
+        rows, columns = _masked(rows, *decisions[2:4]), _masked(columns, *decisions[4:6])
+    by_rows, by_columns = (materialize(collect_differences(at, c[0], c[2])) for c in (rows, columns))
+    total_rows, total_columns = sum(rows), sum(columns)
+    to_greens: Pair = materialize(
+        (jnp.where(at.green, 0, total_rows - by_rows), jnp.where(at.green, 0, total_columns - by_columns))
+    )
+    if how.libraw:
+        collected = collect_clamped_greens(at, to_greens, (decisions[0], decisions[1]))
+    else:
+        collected = collect_greens(at, *to_greens)
+    return jnp.where(at.green, total_rows + total_columns, by_rows + by_columns) + collected

@@ -1,11 +1,27 @@
 """Bilinear demosaicking."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 
+from jaxisp.cfa import check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
+from jaxisp.linear import linear_call
+from jaxisp.numerics import planes
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, red_and_blue, sites
+from jaxisp.stages.demosaic.common import (
+    collect,
+    diagonal_sum,
+    red_and_blue,
+    row_and_column_sums,
+    sites,
+)
+from jaxisp.stages.demosaic.linear import mirrored
 from jaxisp.windows import pad, views
+
+REACH = 1
+"""How far from a pixel its result depends on the mosaic [px]."""
 
 
 @register
@@ -29,10 +45,25 @@ def demosaic_bilinear(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
 
     Source: Longere et al. 2002, bilinear interpolation.
     """
+    check_cfa(cfa)
+    forward = partial(_interpolate, cfa)
+    adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
+    return linear_call(lambda _, x: forward(x), lambda _, y: adjoint(y), (), image)
+
+
+def _interpolate(cfa: str, image: jax.Array) -> jax.Array:
     at = sites(image.shape, cfa)
     padded = pad(image, 1)
-    left, right, up, down = views(padded, CROSS, 1)
-    a, b, c, d = views(padded, DIAGONALS, 1)
-    row, column = 0.5 * (left + right), 0.5 * (up + down)
-    red, blue = red_and_blue(at, image, 0.25 * ((a + b) + (c + d)), row, column)
-    return jnp.stack([red, jnp.where(at.green, image, 0.5 * (row + column)), blue], axis=-1)
+    row, column = row_and_column_sums(padded, 1)
+    red, blue = red_and_blue(at, image, 0.25 * diagonal_sum(padded, 1), 0.5 * row, 0.5 * column)
+    return jnp.stack([red, jnp.where(at.green, image, 0.25 * (row + column)), blue], axis=-1)
+
+
+def _collect(cfa: str, cotangent: jax.Array) -> jax.Array:
+    """The adjoint: a sample collects from the pixels that it was spread over, in its own colour."""
+    at = sites(cotangent.shape, cfa)
+    red, green, blue = (pad(p, 1) for p in planes(cotangent))
+    row, column = row_and_column_sums(green, 1)
+    (own,) = views(green, [(0, 0)], 1)
+    from_green = own + 0.25 * (row + column)
+    return jnp.where(at.red, collect(red, 1), jnp.where(at.blue, collect(blue, 1), from_green))

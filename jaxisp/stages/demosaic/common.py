@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp import cfa as cfa_layout
+from jaxisp.numerics import materialize
 from jaxisp.windows import pad, views
 
 Planes = tuple[jax.Array, jax.Array, jax.Array]
@@ -53,18 +54,42 @@ def red_and_blue(
     return red, blue
 
 
-def row_and_column_means(plane: jax.Array) -> Pair:
-    """The means of the two nearest in the row and in the column."""
-    left, right, up, down = views(pad(plane, 1), CROSS, 1)
-    return 0.5 * (left + right), 0.5 * (up + down)
+def row_and_column_sums(padded: jax.Array, radius: int, step: int = 1) -> Pair:
+    """The sums of the two samples `step` away in the row and in the column."""
+    left, right, up, down = views(padded, [(step * y, step * x) for y, x in CROSS], radius)
+    return left + right, up + down
 
 
-def spread_differences(at: Sites, difference: jax.Array) -> Pair:
-    """R - G and B - G everywhere, bilinear, out of `mosaic - G` known on red and blue sites."""
-    padded = pad(difference, 1)
-    left, right, up, down = views(padded, CROSS, 1)
-    a, b, c, d = views(padded, DIAGONALS, 1)
-    return red_and_blue(at, difference, 0.25 * ((a + b) + (c + d)), 0.5 * (left + right), 0.5 * (up + down))
+def diagonal_sum(padded: jax.Array, radius: int) -> jax.Array:
+    """The sum of the four diagonal neighbours."""
+    a, b, c, d = views(padded, DIAGONALS, radius)
+    return (a + b) + (c + d)
+
+
+def spread_differences(at: Sites, padded: jax.Array) -> Pair:
+    """R - G and B - G everywhere, bilinear, out of `mosaic - G` known on red and blue sites.
+
+    `padded` has a border of one pixel more than the layout.
+    """
+    row, column = row_and_column_sums(padded, 1)
+    return red_and_blue(at, padded[1:-1, 1:-1], 0.25 * diagonal_sum(padded, 1), 0.5 * row, 0.5 * column)
+
+
+def collect(padded: jax.Array, radius: int) -> jax.Array:
+    """What a sample collects from a plane that it was spread over bilinearly: the adjoint of spreading."""
+    (centre,) = views(padded, [(0, 0)], radius)
+    row, column = row_and_column_sums(padded, radius)
+    return centre + (0.5 * (row + column) + 0.25 * diagonal_sum(padded, radius))
+
+
+def collect_differences(at: Sites, red: jax.Array, blue: jax.Array) -> jax.Array:
+    """The adjoint of `spread_differences` on cotangents of R - G and B - G; 0 on green sites."""
+    from_red, from_blue = collect(pad(red, 1), 1), collect(pad(blue, 1), 1)
+    return jnp.where(at.red, from_red, jnp.where(at.blue, from_blue, 0))
+
+
+_ROW = [(0, s) for s in (-2, -1, 1, 2)]
+_COLUMN = [(s, 0) for s in (-2, -1, 1, 2)]
 
 
 def directional_greens(at: Sites, mosaic: jax.Array) -> Pair:
@@ -76,5 +101,61 @@ def directional_greens(at: Sites, mosaic: jax.Array) -> Pair:
         estimate = 0.5 * (near + near_too) + 0.25 * ((mosaic - far) + (mosaic - far_too))
         return jnp.where(at.green, mosaic, estimate)
 
-    steps = (-2, -1, 1, 2)
-    return along([(0, s) for s in steps]), along([(s, 0) for s in steps])
+    return along(_ROW), along(_COLUMN)
+
+
+def collect_greens(at: Sites, to_rows: jax.Array, to_columns: jax.Array) -> jax.Array:
+    """The adjoint of `directional_greens`, from cotangents that are 0 on green sites."""
+    rows, columns = pad(to_rows, 2), pad(to_columns, 2)
+    (near, _), (far, _) = (row_and_column_sums(rows, 2, step) for step in (1, 2))
+    (_, near_too), (_, far_too) = (row_and_column_sums(columns, 2, step) for step in (1, 2))
+    own = 0.5 * (to_rows + to_columns) - 0.25 * (far + far_too)
+    return jnp.where(at.green, 0.5 * (near + near_too), own)
+
+
+def clamped_greens(at: Sites, mosaic: jax.Array, choices: Pair | None = None) -> tuple[Pair, Pair]:
+    """`directional_greens` kept between the two neighbours along the direction.
+
+    Args:
+        at: the layout.
+        mosaic: (H, W).
+        choices: for each direction what to take: -1 the neighbour to the left or above, 1 the one to the
+            right or below, 0 the estimate. Found from the mosaic where they are not given.
+
+    Returns:
+        The greens and the choices.
+    """
+    padded = pad(mosaic, 2)
+
+    def along(offsets: list[tuple[int, int]], estimate: jax.Array, choice: jax.Array | None) -> Pair:
+        _, near, near_too, _ = views(padded, offsets, 2)
+        if choice is None:
+            first_is_low = near <= near_too
+            below, above = estimate < jnp.minimum(near, near_too), estimate > jnp.maximum(near, near_too)
+            first, second = (below & first_is_low) | (above & ~first_is_low), below | above
+            choice = jnp.where(at.green, 0, jnp.where(first, -1, second.astype(jnp.int8)))
+        return jnp.where(choice == 0, estimate, jnp.where(choice < 0, near, near_too)), choice
+
+    given = choices or (None, None)
+    estimates = materialize(directional_greens(at, mosaic))
+    rows, columns = (along(*args) for args in zip((_ROW, _COLUMN), estimates, given, strict=True))
+    return (rows[0], columns[0]), (rows[1], columns[1])
+
+
+def collect_clamped_greens(at: Sites, cotangents: Pair, choices: Pair) -> jax.Array:
+    """The adjoint of `clamped_greens` under these choices, from cotangents that are 0 on green sites."""
+    estimates = (jnp.where(choice == 0, c, 0) for c, choice in zip(cotangents, choices, strict=True))
+    collected = collect_greens(at, *materialize(tuple(estimates)))
+    for axis, cotangent, choice in zip((1, 0), cotangents, choices, strict=True):
+        index = jax.lax.broadcasted_iota(jnp.int32, cotangent.shape, axis)
+        at_start, at_end = index == 0, index == cotangent.shape[axis] - 1
+        # on the frame's edge both neighbours are the same sample, in the mirror the first is the second
+        both = jnp.where(choice == 0, 0, 0.5 * cotangent)
+        first, second = (
+            materialize(jnp.where(at_start | at_end, both, jnp.where(choice == c, cotangent, 0)))
+            for c in (-1, 1)
+        )
+        before, after = ((0, -1), (0, 1)) if axis else ((-1, 0), (1, 0))
+        (from_second,), (from_first,) = views(pad(second, 1), [before], 1), views(pad(first, 1), [after], 1)
+        collected += jnp.where(at_start, from_first, from_second) + jnp.where(at_end, from_second, from_first)
+    return collected

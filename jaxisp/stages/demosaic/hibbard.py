@@ -1,12 +1,26 @@
 """Hibbard's demosaicking by luminance gradients: the "Kodak" algorithm of Jaroensri et al. 2019."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 
+from jaxisp.cfa import check_cfa, shifted
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize
+from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import CROSS, sites, spread_differences
+from jaxisp.stages.demosaic.common import (
+    CROSS,
+    collect_differences,
+    row_and_column_sums,
+    sites,
+    spread_differences,
+)
+from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.windows import pad, views
+
+REACH = 2
+"""How far from a pixel its result depends on the mosaic [px]."""
 
 
 @register
@@ -30,11 +44,46 @@ def demosaic_hibbard(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
 
     Source: Hibbard 1995, US patent 5382976, with the two gradients compared with each other.
     """
-    at = sites(image.shape, cfa)
-    left, right, up, down = views(pad(image, 1), CROSS, 1)
-    row, column = 0.5 * (left + right), 0.5 * (up + down)
+    check_cfa(cfa)
+    forward = partial(_with_share, cfa)
+    adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
+    return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)
+
+
+def _evaluate(cfa: str, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array]]:
+    """The picture, and the share that the mean of the row has in green: 1, 0, or 1/2 on a tie.
+
+    The share comes with a border of one pixel, as `_finish` needs it.
+    """
+    padded = pad(image, 2)
+    left, right, up, down = views(padded, CROSS, 1)
     across, along = jnp.abs(left - right), jnp.abs(up - down)
-    chosen = jnp.where(across < along, row, jnp.where(across > along, column, 0.5 * (row + column)))
-    green = materialize(jnp.where(at.green, image, chosen))
-    red_green, blue_green = spread_differences(at, image - green)
+    share = jnp.where(across < along, 1.0, jnp.where(across > along, 0.0, 0.5)).astype(image.dtype)
+    return _finish(cfa, padded, share), (share,)
+
+
+def _with_share(cfa: str, share: jax.Array, image: jax.Array) -> jax.Array:
+    return _finish(cfa, pad(image, 2), share)
+
+
+def _finish(cfa: str, padded: jax.Array, share: jax.Array) -> jax.Array:
+    """The picture out of a mosaic with a border of two pixels."""
+    row, column = row_and_column_sums(padded, 1)
+    wide, image = padded[1:-1, 1:-1], padded[2:-2, 2:-2]
+    difference = wide - (share * (0.5 * row) + (1 - share) * (0.5 * column))
+    difference = materialize(jnp.where(sites(wide.shape, shifted(cfa, 1, 1)).green, 0, difference))
+    green = image - difference[1:-1, 1:-1]
+    red_green, blue_green = spread_differences(sites(image.shape, cfa), difference)
     return jnp.stack([green + red_green, green, green + blue_green], axis=-1)
+
+
+def _collect(cfa: str, share: jax.Array, cotangent: jax.Array) -> jax.Array:
+    """The adjoint of `_with_share`."""
+    at = sites(cotangent.shape, cfa)
+    red, green, blue = materialize(planes(cotangent))
+    measured = collect_differences(at, red, blue)
+    to_green = materialize(red + green + blue - measured)
+    chosen, share = jnp.where(at.green, 0, to_green), share[1:-1, 1:-1]
+    row, _ = row_and_column_sums(pad(share * chosen, 1), 1)
+    _, column = row_and_column_sums(pad((1 - share) * chosen, 1), 1)
+    return jnp.where(at.green, to_green + 0.5 * (row + column), measured)

@@ -1,11 +1,27 @@
 """Malvar, He & Cutler's gradient-corrected linear demosaicking."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 
+from jaxisp.cfa import check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
+from jaxisp.linear import linear_call
+from jaxisp.numerics import planes
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, red_and_blue, sites
+from jaxisp.stages.demosaic.common import (
+    collect,
+    diagonal_sum,
+    red_and_blue,
+    row_and_column_sums,
+    sites,
+)
+from jaxisp.stages.demosaic.linear import mirrored
 from jaxisp.windows import pad, views
+
+REACH = 2
+"""How far from a pixel its result depends on the mosaic [px]."""
 
 
 @register
@@ -29,13 +45,18 @@ def demosaic_malvar(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
 
     Source: Malvar, He & Cutler 2004, figure 2 (gains 1/2, 5/8, 3/4).
     """
+    check_cfa(cfa)
+    forward = partial(_interpolate, cfa)
+    adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
+    return linear_call(lambda _, x: forward(x), lambda _, y: adjoint(y), (), image)
+
+
+def _interpolate(cfa: str, image: jax.Array) -> jax.Array:
     at = sites(image.shape, cfa)
     padded = pad(image, 2)
-    left, right, up, down = views(padded, CROSS, 2)
-    far_left, far_right, far_up, far_down = views(padded, [(2 * y, 2 * x) for y, x in CROSS], 2)
-    a, b, c, d = views(padded, DIAGONALS, 2)
-    row, column, diagonal = left + right, up + down, (a + b) + (c + d)
-    far_row, far_column = far_left + far_right, far_up + far_down
+    row, column = row_and_column_sums(padded, 2)
+    far_row, far_column = row_and_column_sums(padded, 2, step=2)
+    diagonal = diagonal_sum(padded, 2)
 
     green = 0.5 * image + 0.25 * (row + column) - 0.125 * (far_row + far_column)
     opposite = 0.75 * image + 0.25 * diagonal - 0.1875 * (far_row + far_column)
@@ -43,3 +64,23 @@ def demosaic_malvar(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
     in_column = 0.625 * image + 0.5 * column - 0.125 * (diagonal + far_column) + 0.0625 * far_row
     red, blue = red_and_blue(at, image, opposite, in_row, in_column)
     return jnp.stack([red, jnp.where(at.green, image, green), blue], axis=-1)
+
+
+def _collect(cfa: str, cotangent: jax.Array) -> jax.Array:
+    """The adjoint: what a red, a green and a blue sample were used for, with the same weights."""
+    at = sites(cotangent.shape, cfa)
+    red, green, blue = padded = [pad(p, 2) for p in planes(cotangent)]
+    own_red, own_green, own_blue = (views(p, [(0, 0)], 2)[0] for p in padded)
+    far_red, far_green, far_blue = (row_and_column_sums(p, 2, step=2) for p in padded)
+    row, column = row_and_column_sums(green, 2)
+
+    in_green = 0.5 * own_green - 0.125 * (far_green[0] + far_green[1])
+    in_blue = 0.75 * own_blue - 0.1875 * (far_blue[0] + far_blue[1])
+    in_red = 0.75 * own_red - 0.1875 * (far_red[0] + far_red[1])
+    along = jnp.where(at.red_row, far_red[0] + far_blue[1], far_red[1] + far_blue[0])
+    across = jnp.where(at.red_row, far_red[1] + far_blue[0], far_red[0] + far_blue[1])
+    diagonal = diagonal_sum(red, 2) + diagonal_sum(blue, 2)
+    from_green = own_green + 0.25 * (row + column) + 0.625 * (own_red + own_blue)
+    from_green += 0.0625 * across - 0.125 * (diagonal + along)
+    from_red, from_blue = collect(red, 2) + in_blue, collect(blue, 2) + in_red
+    return jnp.where(at.green, from_green, in_green + jnp.where(at.red, from_red, from_blue))

@@ -9,64 +9,86 @@ from jaxisp.domains import CameraRGB
 from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Planes
+from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.windows import pad, square, views
 
 
 def median_3x3(plane: jax.Array) -> jax.Array:
     """The median of the 3x3 window around every sample of (H, W); borders are reflected.
 
-    Gradient: to the sample that is the median, in equal shares where several are (reverse mode only).
+    Gradient: to the sample that is the median, in equal shares where several are.
     """
-    return materialize(_median_inside(pad(plane, 1)))
+    return piecewise_linear(_evaluate, _share, mirrored(_share, _collect, plane.shape))(plane)
 
 
-@jax.custom_vjp
-def _median_inside(padded: jax.Array) -> jax.Array:
-    """(H + 2, W + 2) to (H, W)."""
-    window = views(padded, square(1), 1)
+def _evaluate(plane: jax.Array) -> tuple[jax.Array, Pair]:
+    """The medians, and what tells which samples they are."""
+    window = views(pad(plane, 1), square(1), 1)
     columns = [_sort_three(window[i], window[i + 3], window[i + 6]) for i in range(3)]
     lows, middles, highs = zip(*columns, strict=True)
-    return _middle(reduce(jnp.maximum, lows), _middle(*middles), reduce(jnp.minimum, highs))
+    median = _middle(reduce(_high, lows), _middle(*middles), reduce(_low, highs))
+    median = materialize(median)
+    return median, (plane, median)
 
 
-def _median_forward(padded: jax.Array) -> tuple[jax.Array, Pair]:
-    median = _median_inside(padded)
-    return median, (padded, median)
+def _is_median(plane: jax.Array, median: jax.Array) -> list[jax.Array]:
+    return [view == median for view in views(pad(plane, 1), square(1), 1)]
 
 
-def _median_backward(saved: Pair, cotangent: jax.Array) -> tuple[jax.Array]:
-    """The adjoint, written as reads: each sample collects from the windows whose median it is."""
-    padded, median = saved
-    hits = reduce(jnp.add, [(v == median).astype(median.dtype) for v in views(padded, square(1), 1)])
-    share, median = materialize((jnp.pad(cotangent / hits, 2), jnp.pad(median, 2)))
-    windows = zip(views(share, square(1), 1), views(median, square(1), 1), strict=True)
-    return (reduce(jnp.add, [jnp.where(padded == m, s, 0) for s, m in windows]),)
+def _share(plane: jax.Array, median: jax.Array, tangent: jax.Array) -> jax.Array:
+    """The mean of the tangents of the samples that are the median."""
+    hits = _is_median(plane, median)
+    near = views(pad(tangent, 1), square(1), 1)
+    total = reduce(jnp.add, [jnp.where(hit, t, 0) for hit, t in zip(hits, near, strict=True)])
+    return total / reduce(jnp.add, [hit.astype(total.dtype) for hit in hits])
 
 
-_median_inside.defvjp(_median_forward, _median_backward)
+def _collect(plane: jax.Array, median: jax.Array, cotangent: jax.Array) -> jax.Array:
+    """The adjoint of `_share`: each sample collects from the windows whose median it is."""
+    hits = reduce(jnp.add, [hit.astype(cotangent.dtype) for hit in _is_median(plane, median)])
+    shares, medians = (pad(p, 1) for p in materialize((cotangent / hits, median)))
+    windows = zip(views(shares, square(1), 1), views(medians, square(1), 1), strict=True)
+    return reduce(jnp.add, [jnp.where(plane == m, s, 0) for s, m in windows])
+
+
+def _low(a: jax.Array, b: jax.Array) -> jax.Array:
+    # one instruction; jnp.minimum takes several to pass on NaN
+    return jnp.where(a < b, a, b)
+
+
+def _high(a: jax.Array, b: jax.Array) -> jax.Array:
+    return jnp.where(a < b, b, a)
 
 
 def _sort_three(a: jax.Array, b: jax.Array, c: jax.Array) -> Planes:
-    a, b = jnp.minimum(a, b), jnp.maximum(a, b)
-    b, c = jnp.minimum(b, c), jnp.maximum(b, c)
-    return jnp.minimum(a, b), jnp.maximum(a, b), c
+    a, b = _low(a, b), _high(a, b)
+    b, c = _low(b, c), _high(b, c)
+    return _low(a, b), _high(a, b), c
 
 
 def _middle(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
-    return jnp.maximum(jnp.minimum(a, b), jnp.minimum(jnp.maximum(a, b), c))
+    return _high(_low(a, b), _low(_high(a, b), c))
 
 
 def smooth_differences(rgb: Planes, passes: int) -> Planes:
-    """`color_difference_median` on planes."""
+    """`color_difference_median` on planes.
+
+    With d = med(R - G), the new R is d + G, so that med(G - R) is -med(d), and the pass changes green by
+    half the sum of d - med(d) over red and blue: all is told by the two differences.
+    """
     if passes < 0:
         raise ValueError(f"passes of the colour-difference median must be 0 or more, got {passes}")
+    if passes == 0:
+        return rgb
     red, green, blue = rgb
+    median = jax.vmap(median_3x3)  # both at once: half the kernels
+    differences = materialize(jnp.stack([red - green, blue - green]))
     for _ in range(passes):
-        red_green, blue_green = median_3x3(red - green), median_3x3(blue - green)
-        red, blue = materialize((red_green + green, blue_green + green))
-        from_red, from_blue = median_3x3(green - red), median_3x3(green - blue)
-        green = materialize(0.5 * ((from_red + red) + (from_blue + blue)))
-    return red, green, blue
+        once = median(differences)
+        change = once - median(once)
+        more_green = 0.5 * (change[0] + change[1])
+        green, differences = materialize((green + more_green, once - more_green))
+    return green + differences[0], green, green + differences[1]
 
 
 @register
@@ -86,8 +108,7 @@ def color_difference_median(image: CameraRGB, *, passes: int = 1) -> CameraRGB:
     Raises:
         ValueError: passes is negative.
 
-    Gradient: exact: to the sample that is the median, in equal shares where several are
-    (reverse mode only).
+    Gradient: exact: to the sample that is the median, in equal shares where several are.
 
     Source: Hirakawa & Parks 2005, interpolation artifact reduction; Freeman 1988, US patent 4724395.
     """

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize
 
 Bands = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
@@ -49,7 +50,7 @@ def analyse(plane: jax.Array, wavelet: str) -> Bands:
     Returns:
         Four bands of ((H + L - 1) // 2, (W + L - 1) // 2), where L is the length of the filter.
 
-    Gradient: exact, in reverse mode.
+    Gradient: exact, in both modes.
     """
     length = len(SCALING[wavelet])
     # an odd size gets one more on the right
@@ -58,7 +59,7 @@ def analyse(plane: jax.Array, wavelet: str) -> Bands:
 
 
 def synthesise(bands: Bands, shape: tuple[int, ...], wavelet: str) -> jax.Array:
-    """The inverse of `analyse` for a plane of that shape. Gradient: exact, in reverse mode."""
+    """The inverse of `analyse` for a plane of that shape. Gradient: exact, in both modes."""
     start = len(SCALING[wavelet]) - 2
     return lax.slice(_up(bands, wavelet), (start, start), (start + shape[0], start + shape[1]))
 
@@ -66,26 +67,24 @@ def synthesise(bands: Bands, shape: tuple[int, ...], wavelet: str) -> jax.Array:
 # Filtering with decimation and its transpose, each the other's gradient, so that both are read as slices.
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
 def _down(plane: jax.Array, wavelet: str) -> Bands:
+    return linear_call(lambda _, x: _analysis(x, wavelet), lambda _, y: _synthesis(y, wavelet), (), plane)
+
+
+def _up(bands: Bands, wavelet: str) -> jax.Array:
+    return linear_call(lambda _, x: _synthesis(x, wavelet), lambda _, y: _analysis(y, wavelet), (), bands)
+
+
+def _analysis(plane: jax.Array, wavelet: str) -> Bands:
     low, high = materialize(_down_axis(plane, 0, wavelet))
     (ll, lh), (hl, hh) = _down_axis(low, 1, wavelet), _down_axis(high, 1, wavelet)
     return ll, hl, lh, hh
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
-def _up(bands: Bands, wavelet: str) -> jax.Array:
+def _synthesis(bands: Bands, wavelet: str) -> jax.Array:
     ll, hl, lh, hh = bands
     low, high = materialize((_up_axis(ll, lh, 1, wavelet), _up_axis(hl, hh, 1, wavelet)))
     return _up_axis(low, high, 0, wavelet)
-
-
-_down.defvjp(
-    lambda plane, wavelet: (_down(plane, wavelet), None), lambda wavelet, _, bands: (_up(bands, wavelet),)
-)
-_up.defvjp(
-    lambda bands, wavelet: (_up(bands, wavelet), None), lambda wavelet, _, plane: (_down(plane, wavelet),)
-)
 
 
 def _down_axis(plane: jax.Array, axis: int, wavelet: str) -> tuple[jax.Array, jax.Array]:

@@ -1,6 +1,6 @@
 """Median filtering of luma and chroma."""
 
-import functools
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
+from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize, planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -16,7 +17,7 @@ from jaxisp.stages.denoise.networks import MEDIANS
 from jaxisp.windows import views
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
     """Median filter of an (H, W) plane, borders reflected.
 
@@ -32,25 +33,42 @@ def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
     return MEDIANS[footprint][0](plane)
 
 
-def _median_forward(plane: jax.Array, footprint: str) -> tuple[jax.Array, Any]:
+@median_plane.defjvp
+def _median_jvp(footprint: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    (plane,), (change,) = primals, tangents
     out = materialize(median_plane(plane, footprint))
-    return out, (plane, out)
+    return out, linear_call(
+        partial(_tangent, footprint), partial(_cotangent, footprint), (plane, out), change
+    )
 
 
-def _median_backward(footprint: str, saved: Any, cotangent: jax.Array) -> tuple[jax.Array]:
-    """The adjoint as reads: each pixel asks its neighbours' medians whether they are equal to it."""
+def _tangent(footprint: str, saved: Any, change: jax.Array) -> jax.Array:
+    """The mean change of the pixels that are equal to the median."""
     plane, out = saved
+    near, changes = (_near(x, footprint) for x in (plane, change))
+    equal = [value == out for value in near]
+    total = reduce(jnp.add, [jnp.where(e, c, 0) for e, c in zip(equal, changes)])
+    return total / _count(equal, out.dtype)
+
+
+def _cotangent(footprint: str, saved: Any, cotangent: jax.Array) -> jax.Array:
+    """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
+    plane, out = saved
+    counts = edge_counts(plane.shape, plane.dtype)
+    equal = [value == out for value in _near(plane, footprint)]
+    share = materialize(counts * cotangent / _count(equal, out.dtype))
+    medians, shares = (_near(x, footprint) for x in (out, share))
+    return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]) / counts
+
+
+def _near(plane: jax.Array, footprint: str) -> list[jax.Array]:
     offsets = MEDIANS[footprint][1]
     radius = max(dy for dy, _ in offsets)
-    equal = [(near == out).astype(out.dtype) for near in views(reflect(plane, radius), offsets, radius)]
-    counts = edge_counts(plane.shape, plane.dtype)
-    share = materialize(counts * cotangent / functools.reduce(jnp.add, equal))
-    medians, shares = (views(reflect(x, radius), offsets, radius) for x in (out, share))
-    taken = [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]
-    return (functools.reduce(jnp.add, taken) / counts,)
+    return views(reflect(plane, radius), offsets, radius)
 
 
-median_plane.defvjp(_median_forward, _median_backward)
+def _count(equal: list[jax.Array], dtype: jnp.dtype) -> jax.Array:
+    return reduce(jnp.add, [e.astype(dtype) for e in equal])
 
 
 @parameters
@@ -88,7 +106,7 @@ def median(
     Raises:
         ValueError: an unknown footprint.
 
-    Gradient: exact, in reverse mode; pixels tied for the median share it equally.
+    Gradient: exact; pixels tied for the median share it equally.
 
     Source: Jaroensri et al. 2019, section 3; Tukey 1977; networks: Smith 1996, Batcher 1968.
     """

@@ -52,7 +52,7 @@ def wavelet_coring(
     Raises:
         ValueError: an unknown wavelet or method.
 
-    Gradient: exact, in reverse mode.
+    Gradient: exact.
 
     Source: Jaroensri et al. 2019, section 3; Donoho & Johnstone 1994 (VisuShrink); Chang, Yu & Vetterli
         2000 (BayesShrink); Daubechies 1992.

@@ -1,0 +1,152 @@
+"""Linear maps that bring their own transpose, for both modes of differentiation.
+
+`jax.custom_vjp` refuses forward mode, and `jax.custom_derivatives.linear_call` refuses `vmap`.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+_linear = Primitive("linear_with_transpose")
+_linear.multiple_results = True
+
+Flat = Callable[..., list[jax.Array]]
+
+
+def linear_call(
+    fn: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], residuals: Any, x: Any
+) -> Any:
+    """`fn(residuals, x)`, linear in x, with `transpose` to pull cotangents back.
+
+    In the rule of a `jax.custom_jvp` it gives the tangent, so that reverse mode, which transposes
+    it, is as fast as the transpose that is given. Under `jit`, `vmap` and every nesting of `jvp` and
+    `grad`; to the residuals it is differentiated as `fn` and `transpose` are written.
+
+    Args:
+        fn: (residuals, x) to y, linear in x.
+        transpose: (residuals, y's cotangent) to x's cotangent. Nothing checks that it is the transpose.
+        residuals: pytree of arrays.
+        x: pytree of arrays.
+    """
+    fixed, fixed_tree = jax.tree.flatten(residuals)
+    moving, x_tree = jax.tree.flatten(x)
+    y_tree = jax.tree.structure(jax.eval_shape(fn, residuals, x))
+
+    def flat(of: Callable[[Any, Any], Any], tree: Any) -> Flat:
+        def call(*leaves: jax.Array) -> list[jax.Array]:
+            there = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
+            return jax.tree.leaves(of(there, jax.tree.unflatten(tree, leaves[len(fixed) :])))
+
+        return call
+
+    y = _linear.bind(
+        *fixed, *moving, forward=flat(fn, x_tree), backward=flat(transpose, y_tree), fixed=len(fixed)
+    )
+    return jax.tree.unflatten(y_tree, y)
+
+
+def _run(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[jax.Array]:
+    return forward(*leaves)
+
+
+def _abstract(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[Any]:
+    shapes = jax.eval_shape(forward, *(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves))
+    return [jax.core.ShapedArray(s.shape, s.dtype) for s in shapes]
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[Any, Any]:
+    fixed, forward = how["fixed"], how["forward"]
+    y = _linear.bind(*primals, **how)
+    moved = [ad.instantiate_zeros(t) for t in tangents[fixed:]]
+    change = _linear.bind(*primals[:fixed], *moved, **how)
+    if any(type(t) is not ad.Zero for t in tangents[:fixed]):
+        moved = [ad.instantiate_zeros(t) for t in tangents[:fixed]]
+        by_fixed = jax.jvp(lambda *r: forward(*r, *primals[fixed:]), tuple(primals[:fixed]), tuple(moved))[1]
+        change = [a + b for a, b in zip(change, by_fixed)]
+    return y, change
+
+
+def _transpose(cotangents: Sequence[Any], *leaves: Any, forward: Flat, backward: Flat, fixed: int) -> Any:
+    known = leaves[:fixed]
+    pulled = _linear.bind(
+        *known,
+        *(ad.instantiate_zeros(c) for c in cotangents),
+        forward=backward,
+        backward=forward,
+        fixed=fixed,
+    )
+    wanted = zip(pulled, leaves[fixed:])
+    return [None] * fixed + [p if ad.is_undefined_primal(x) else None for p, x in wanted]
+
+
+def _batch(leaves: Sequence[Any], dims: Sequence[Any], *, forward: Flat, backward: Flat, fixed: int) -> Any:
+    size = next(v.shape[d] for v, d in zip(leaves, dims) if d is not batching.not_mapped)
+
+    def front(v: Any, d: Any) -> Any:
+        if d is batching.not_mapped:
+            return jnp.broadcast_to(v, (size, *v.shape))
+        return jnp.moveaxis(v, d, 0)
+
+    # what moves always has the batch axis, so that its cotangent needs no sum
+    axes = [None if d is batching.not_mapped else 0 for d in dims[:fixed]]
+    shared = [v if a is None else front(v, d) for v, d, a in zip(leaves, dims, axes)]
+    moving = [front(v, d) for v, d in zip(leaves[fixed:], dims[fixed:])]
+    there = jax.vmap(forward, in_axes=(*axes, *[0] * len(moving)))
+    results = len(jax.eval_shape(there, *shared, *moving))
+    back = jax.vmap(backward, in_axes=(*axes, *[0] * results))
+    return _linear.bind(*shared, *moving, forward=there, backward=back, fixed=fixed), [0] * results
+
+
+_linear.def_impl(_run)
+_linear.def_abstract_eval(_abstract)
+ad.primitive_jvps[_linear] = _jvp
+ad.primitive_transposes[_linear] = _transpose
+batching.primitive_batchers[_linear] = _batch
+mlir.register_lowering(_linear, mlir.lower_fun(_run, multiple_results=True))
+
+
+def inner_product(x: jax.Array, y: jax.Array) -> jax.Array:
+    """The sum of x * y over two images of one shape.
+
+    By a product with ones: XLA's CPU code takes ten times as long to reduce an image to a number.
+    """
+    rows = (x * y).reshape(x.shape[0], -1)
+    return jnp.matmul(rows, jnp.ones(rows.shape[1], rows.dtype), precision=lax.Precision.HIGHEST).sum()
+
+
+def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:
+    """`scalar * image`, linear in the scalar, with a fast gradient to it."""
+    return linear_call(lambda x, s: s * x, inner_product, image, scalar)
+
+
+def pointwise(fn: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], *scalars: Any) -> jax.Array:
+    """`fn(*arrays, *scalars)`, elementwise in arrays of one shape, with a fast gradient to the scalars."""
+    return _pointwise(fn, arrays, tuple(jnp.asarray(s, arrays[0].dtype) for s in scalars))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _pointwise(
+    fn: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], scalars: tuple[jax.Array, ...]
+) -> jax.Array:
+    return fn(*arrays, *scalars)
+
+
+def _pointwise_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    arrays, scalars = primals
+    moved = tuple(jnp.zeros(t.shape, t.dtype) if isinstance(t, SymbolicZero) else t for t in tangents[0])
+    y, change = jax.jvp(lambda *a: fn(*a, *scalars), arrays, moved)
+    for i, by in enumerate(tangents[1]):
+        if not isinstance(by, SymbolicZero):
+            alone = lambda s, i=i: fn(*arrays, *scalars[:i], s, *scalars[i + 1 :])  # noqa: E731
+            change += scaled(by, jax.jvp(alone, (scalars[i],), (jnp.ones_like(scalars[i]),))[1])
+    return y, change
+
+
+_pointwise.defjvp(_pointwise_jvp, symbolic_zeros=True)

@@ -1,0 +1,19 @@
+"""How far each demosaicking stage looks, for working on a large frame in strips of rows."""
+
+from typing import Any
+
+from jaxisp.stages.demosaic import ahd, bilinear, hibbard, malvar, menon
+
+_REACH = {f"demosaic_{m.__name__.rpartition('.')[2]}": m.REACH for m in (bilinear, hibbard, malvar, menon)}
+
+
+def reach(name: str, **static: Any) -> int:
+    """How far from a pixel the result of a demosaicking stage depends on the mosaic [px].
+
+    Args:
+        name: a stage, such as "demosaic_ahd".
+        static: its options; those that do not change the reach are ignored.
+    """
+    if name == "demosaic_ahd":
+        return ahd.reach(static.get("delta", 2), static.get("median_passes", 0))
+    return _REACH[name]
