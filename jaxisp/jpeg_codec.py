@@ -1,11 +1,12 @@
 """What libjpeg does to pixels, in JAX: integer colour, chroma sampling, DCT and quantisation.
 
-Values are exact integers held in the image's float type between steps; inside a step they are
-int32. Each step pairs libjpeg's integer arithmetic with a smooth surrogate for the gradient.
+Values are exact integers held in floats of at least 32 bits, and sums stay below 2**24 there; the
+transform along columns, which needs more, is int32. Each step pairs libjpeg's integer arithmetic with
+a smooth surrogate for the gradient.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -22,53 +23,42 @@ SAMPLING = {"4:4:4": (1, 1), "4:2:2": (1, 2), "4:2:0": (2, 2)}
 Planes = tuple[jax.Array, jax.Array, jax.Array]
 
 
-def _fixed(value: float, bits: int) -> int:
+def _fixed(value: float, bits: int = 16) -> int:
     return round(value * 2**bits)
 
 
-def _rounded_shift(x: jax.Array, bits: int) -> jax.Array:
-    return (x + (1 << (bits - 1))) >> bits
-
-
-def _hard(fn: Any, soft: jax.Array, *arrays: jax.Array) -> jax.Array:
-    """The integer function `fn` of int32 `arrays`, with the gradient of `soft`."""
-    whole = fn(*(lax.stop_gradient(a).astype(jnp.int32) for a in arrays))
-    return straight_through(whole.astype(soft.dtype), soft)
+def _shifted(x: jax.Array, bits: int) -> jax.Array:
+    """`x >> bits` of whole numbers held in floats; exact, as the scale is a power of two."""
+    return jnp.floor(x * 2.0**-bits)
 
 
 def rgb_to_ycbcr(rgb: Planes) -> Planes:
     """Whole-numbered R'G'B' planes in 0..255 to Y'CbCr with chroma about 128 (16-bit fixed point)."""
-    fix = functools.partial(_fixed, bits=16)
+    r, g, b = rgb
     half, centre = 1 << 15, (128 << 16) + (1 << 15) - 1
-
-    def weighted(red: int, green: int, blue: int, bias: int, soft: jax.Array) -> jax.Array:
-        return _hard(lambda r, g, b: (red * r + green * g + blue * b + bias) >> 16, soft, *rgb)
-
-    y, cb, cr = rgb_to_ycbcr_planes(*rgb)
-    return (
-        weighted(fix(0.299), fix(0.587), fix(0.114), half, y),
-        weighted(-fix(0.16874), -fix(0.33126), half, centre, cb + 128),
-        weighted(half, -fix(0.41869), -fix(0.08131), centre, cr + 128),
+    # centre + half * 255 is 2**24 - 1, so the sums are exact
+    hard = (
+        _fixed(0.299) * r + _fixed(0.587) * g + _fixed(0.114) * b + half,
+        (half * b + centre) - _fixed(0.16874) * r - _fixed(0.33126) * g,
+        (half * r + centre) - _fixed(0.41869) * g - _fixed(0.08131) * b,
     )
+    y, cb, cr = rgb_to_ycbcr_planes(*rgb)
+    soft = (y, cb + 128, cr + 128)
+    y, cb, cr = (straight_through(_shifted(h, 16), s) for h, s in zip(hard, soft))
+    return y, cb, cr
 
 
 def ycbcr_to_rgb(y: jax.Array, cb: jax.Array, cr: jax.Array) -> Planes:
     """The way back, clipped to 0..255."""
-    fix = functools.partial(_fixed, bits=16)
-    red, green, blue = (jnp.clip(p, 0, 255) for p in ycbcr_to_rgb_planes(y, cb - 128, cr - 128))
-    limited = functools.partial(jnp.clip, min=0, max=255)
-    shift = functools.partial(_rounded_shift, bits=16)
-    return (
-        _hard(lambda y, v: limited(y + shift(fix(1.402) * (v - 128))), red, y, cr),
-        _hard(
-            lambda y, u, v: limited(y + shift(-fix(0.34414) * (u - 128) - fix(0.71414) * (v - 128))),
-            green,
-            y,
-            cb,
-            cr,
-        ),
-        _hard(lambda y, u: limited(y + shift(fix(1.772) * (u - 128))), blue, y, cb),
+    half, u, v = 1 << 15, cb - 128, cr - 128
+    shifts = (
+        _shifted(_fixed(1.402) * v + half, 16),
+        _shifted(half - _fixed(0.34414) * u - _fixed(0.71414) * v, 16),
+        _shifted(_fixed(1.772) * u + half, 16),
     )
+    soft = ycbcr_to_rgb_planes(y, u, v)
+    r, g, b = (straight_through(jnp.clip(y + d, 0, 255), jnp.clip(s, 0, 255)) for d, s in zip(shifts, soft))
+    return r, g, b
 
 
 def _pad_end(plane: jax.Array, rows: int, columns: int) -> jax.Array:
@@ -86,9 +76,10 @@ def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
     plane = _pad_end(plane, rows * sy - height, columns * sx - width)
     if step != (1, 1):
         parts = [plane[i::sy, j::sx] for i in range(sy) for j in range(sx)]
-        bias = np.arange(columns, dtype=np.int32) % 2 + (1 if sy == 2 else 0)
+        bias = np.arange(columns) % 2 + (1 if sy == 2 else 0)
         total = functools.reduce(jnp.add, parts)
-        plane = _hard(lambda t: (t + bias) >> (len(parts) // 2), total / len(parts), total)
+        hard = _shifted(total + bias.astype(plane.dtype), len(parts) // 2)
+        plane = straight_through(hard, total / len(parts))
     return _pad_end(plane, -rows % 8, 0)
 
 
@@ -104,13 +95,12 @@ def upsample(plane: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) ->
         near = jnp.pad(plane, ((1, 1), (0, 0)), mode="edge")
         plane = _interleave(3 * plane + near[:-2], 3 * plane + near[2:], axis=0)
     near = jnp.pad(plane, ((0, 0), (1, 1)), mode="edge")
-    left, right = 3 * plane + near[:, :-2], 3 * plane + near[:, 2:]
     (bias_left, bias_right), bits = ((8, 7), 4) if sy == 2 else ((1, 2), 2)
-    halves = (
-        _hard(lambda t: (t + bias_left) >> bits, left / 2**bits, left),
-        _hard(lambda t: (t + bias_right) >> bits, right / 2**bits, right),
+    left, right = (
+        straight_through(_shifted(total + bias, bits), total / 2**bits)
+        for total, bias in ((3 * plane + near[:, :-2], bias_left), (3 * plane + near[:, 2:], bias_right))
     )
-    return _interleave(*halves, axis=1)[: shape[0], : shape[1]]
+    return _interleave(left, right, axis=1)[: shape[0], : shape[1]]
 
 
 def _interleave(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
@@ -126,10 +116,10 @@ _C = {name: _fixed(value, 13) for name, value in {
 }.items()}  # fmt: skip
 """Constants of the Loeffler, Ligtenberg and Moschytz DCT, 13 bits."""
 
-Rows = Sequence[jax.Array]
+Rows = Sequence[Any]
 
 
-def _odd_part(a: jax.Array, b: jax.Array, c: jax.Array, d: jax.Array) -> list[jax.Array]:
+def _odd_part(a: Any, b: Any, c: Any, d: Any) -> list[Any]:
     """The rotations of the four odd terms, which forward and inverse share."""
     both = (a + b + c + d) * _C["1.175"]
     z1, z2 = -_C["0.899"] * (a + d), -_C["2.562"] * (b + c)
@@ -142,83 +132,102 @@ def _odd_part(a: jax.Array, b: jax.Array, c: jax.Array, d: jax.Array) -> list[ja
     ]
 
 
-def _forward_1d(x: Rows, shift: int) -> list[jax.Array]:
-    """Eight samples to eight frequencies, times 2**13 and then shifted down by `shift`, rounded."""
+def _forward_1d(x: Rows) -> list[Any]:
+    """Eight samples to eight frequencies, times 2**13."""
     s = [x[i] + x[7 - i] for i in range(4)]
     d = [x[i] - x[7 - i] for i in range(4)]
     e0, e3, e1, e2 = s[0] + s[3], s[0] - s[3], s[1] + s[2], s[1] - s[2]
     z = (e2 + e3) * _C["0.541"]
     f7, f5, f3, f1 = _odd_part(d[3], d[2], d[1], d[0])
     even = [(e0 + e1) << 13, z + e3 * _C["0.765"], (e0 - e1) << 13, z - e2 * _C["1.847"]]
-    out = [even[0], f1, even[1], f3, even[2], f5, even[3], f7]
-    return [_rounded_shift(v, shift) for v in out]
+    return [even[0], f1, even[1], f3, even[2], f5, even[3], f7]
 
 
-def _inverse_1d(x: Rows, shift: int) -> list[jax.Array]:
-    """Eight frequencies to eight samples, times 2**13 and then shifted down by `shift`, rounded."""
+def _inverse_1d(x: Rows) -> list[Any]:
+    """Eight frequencies to eight samples, times 2**13."""
     z = (x[2] + x[6]) * _C["0.541"]
     e2, e3 = z - x[6] * _C["1.847"], z + x[2] * _C["0.765"]
     e0, e1 = (x[0] + x[4]) << 13, (x[0] - x[4]) << 13
     even = [e0 + e3, e1 + e2, e1 - e2, e0 - e3]
     odd = _odd_part(x[7], x[5], x[3], x[1])[::-1]
-    out = [e + o for e, o in zip(even, odd)] + [e - o for e, o in zip(even[::-1], odd[::-1])]
-    return [_rounded_shift(v, shift) for v in out]
+    return [e + o for e, o in zip(even, odd)] + [e - o for e, o in zip(even[::-1], odd[::-1])]
 
 
-def _along(fn: Any, blocks: jax.Array, axis: int, shift: int) -> jax.Array:
-    """Apply a 1-D transform along axis 0 (rows of a block) or 1 (columns) of (8, 8, N) blocks."""
-    lines = [lax.index_in_dim(blocks, i, axis, keepdims=False) for i in range(8)]
-    return lax.optimization_barrier(jnp.stack(fn(lines, shift), axis))
+@functools.cache
+def _fixed_basis() -> np.ndarray:
+    """The matrix of the fixed-point 1-D DCT, frequency by sample, times 2**13."""
+    return np.stack(_forward_1d(list(np.eye(8, dtype=int))))
 
 
-def _to_blocks(plane: jax.Array) -> jax.Array:
-    """(H, W) to (8, 8, N): the blocks run along the last axis, where the CPU's vectors run."""
-    h, w = plane.shape
-    return plane.reshape(h // 8, 8, w // 8, 8).transpose(1, 3, 0, 2).reshape(8, 8, -1)
+def _rows_forward(blocks: jax.Array) -> jax.Array:
+    """Along the rows of (R, 8, W) blocks of samples about 0, times 4; one exact matrix product."""
+    total = _product(blocks, _fixed_basis().T)
+    return _shifted(total + (1 << 10), 11)
 
 
-def _from_blocks(blocks: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    h, w = shape
-    return blocks.reshape(8, 8, h // 8, w // 8).transpose(2, 0, 3, 1).reshape(h, w)
+def _rows_inverse(blocks: jax.Array) -> jax.Array:
+    """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
+    basis = _fixed_basis()
+    coarse = (basis + 64) // 128
+    high, low = (_product(blocks, m) for m in (coarse, basis - 128 * coarse))
+    return _shifted(high + _shifted(low + (1 << 17), 7), 11)
 
 
-def _quantize(plane: jax.Array, table: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The forward DCT: coefficients times 8, and the whole-numbered levels, both (8, 8, N) int32."""
-    blocks = lax.optimization_barrier(_to_blocks(plane.astype(jnp.int32) - 128))
-    scaled = _along(_forward_1d, _along(_forward_1d, blocks, 1, 11), 0, 15)
-    step = table[..., None].astype(jnp.float32)
+def _product(blocks: jax.Array, matrix: np.ndarray) -> jax.Array:
+    """Each run of 8 along the last axis times an (8, 8) matrix, in full precision also on a GPU."""
+    runs = blocks.reshape(-1, 8)
+    return jnp.dot(runs, matrix.astype(runs.dtype), precision=lax.Precision.HIGHEST).reshape(blocks.shape)
+
+
+def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int) -> jax.Array:
+    """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded."""
+    lines = fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)])
+    return lax.optimization_barrier(jnp.stack([(v + (1 << (bits - 1))) >> bits for v in lines], 1))
+
+
+def _by_block(blocks: jax.Array) -> jax.Array:
+    rows, _, width = blocks.shape
+    return blocks.reshape(rows, 8, width // 8, 8)
+
+
+def _quantize(blocks: jax.Array, table: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The forward DCT: coefficients times 8 and whole-numbered levels, (R, 8, W / 8, 8), in floats."""
+    lines = lax.optimization_barrier(_rows_forward(blocks - 128).astype(jnp.int32))
+    scaled = _by_block(_columns(_forward_1d, lines, 15)).astype(blocks.dtype)
+    step = table[:, :, None]
     # rounds half away from zero; the extra half keeps floor() clear of the division's own rounding
     level = jnp.floor((jnp.abs(scaled) + 4 * step + 0.5) * (1 / (8 * step)))
-    return scaled, jnp.where(scaled < 0, -level, level).astype(jnp.int32)
+    return scaled, jnp.where(scaled < 0, -level, level)
 
 
 @jax.custom_jvp
-def through_blocks(plane: jax.Array, table: jax.Array) -> jax.Array:
-    """Code and decode one plane of whole blocks with a whole-numbered (8, 8) table.
+def through_blocks(blocks: jax.Array, table: jax.Array) -> jax.Array:
+    """Code and decode rows of blocks, (R, 8, W), with a whole-numbered table for each row, (R, 8, 8).
 
-    Gradient: surrogate. The plane passes straight through. A table entry q has the derivative
+    Gradient: surrogate. The samples pass straight through. A table entry q has the derivative
     `round(t) - t s'(t)`, t = c / q, of a staircase with soft edges, `s' = 128/35 sin(pi t)**8`: how far
     each level moves, and which coefficients are about to drop one. (With `s' = 1`, straight through,
     a fitter is driven towards finer tables wherever it starts.)
     """
-    return _dequantize(_quantize(plane, table)[1], plane, table)
+    return _dequantize(_quantize(blocks, table)[1], table)
 
 
-def _dequantize(level: jax.Array, plane: jax.Array, table: jax.Array) -> jax.Array:
-    restored = level * table[..., None].astype(jnp.int32)
-    pixels = _along(_inverse_1d, _along(_inverse_1d, restored, 0, 11), 1, 18)
-    return jnp.clip(_from_blocks(pixels, plane.shape) + 128, 0, 255).astype(plane.dtype)
+def _dequantize(level: jax.Array, table: jax.Array) -> jax.Array:
+    restored = (level * table[:, :, None]).astype(jnp.int32)
+    restored = restored.reshape(*restored.shape[:2], -1)
+    lines = _columns(_inverse_1d, restored, 11).astype(level.dtype)
+    return jnp.clip(_rows_inverse(lines) + 128, 0, 255)
 
 
 @through_blocks.defjvp
 def _through_blocks_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
-    (plane, table), (d_plane, d_table) = primals, tangents
-    scaled, level = _quantize(plane, table)
-    t = scaled.astype(plane.dtype) / (8 * table[..., None])
+    (blocks, table), (d_blocks, d_table) = primals, tangents
+    scaled, level = _quantize(blocks, table)
+    t = scaled / (8 * table[:, :, None])
     slope = level - t * (128 / 35) * jnp.sin(np.pi * t) ** 8
-    basis = _basis().astype(plane.dtype)
-    change = jnp.einsum("ui,vj,uvn->ijn", basis, basis, d_table[..., None] * slope)
-    return _dequantize(level, plane, table), d_plane + _from_blocks(change, plane.shape)
+    basis = _basis().astype(blocks.dtype)
+    change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, d_table[:, :, None] * slope)
+    return _dequantize(level, table), d_blocks + change.reshape(blocks.shape)
 
 
 @functools.cache
@@ -231,17 +240,24 @@ def _basis() -> np.ndarray:
 def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsampling: str) -> Planes:
     """Planes of whole numbers in 0..255 through JPEG and back.
 
+    The three planes go through the transform as one array, chroma below luma.
+
     Args:
         rgb: three (H, W) planes.
         luma_table: (8, 8) whole numbers in 1..255.
         chroma_table: likewise.
         subsampling: a key of `SAMPLING`.
     """
-    shape = rgb[0].shape
-    coded = []
-    for i, plane in enumerate(rgb_to_ycbcr(rgb)):
-        step = SAMPLING[subsampling] if i else (1, 1)
-        blocks = downsample(plane, step)
-        decoded = through_blocks(blocks, chroma_table if i else luma_table)
-        coded.append(upsample(decoded, shape, step))
-    return ycbcr_to_rgb(*coded)
+    shape, step = rgb[0].shape, SAMPLING[subsampling]
+    y, cb, cr = rgb_to_ycbcr(rgb)
+    side = step[1] - 1  # the two half as wide stand side by side, others one below the other
+    chroma = jnp.concatenate([downsample(c, step) for c in (cb, cr)], side)
+    y = downsample(y, (1, 1))
+    y = _pad_end(y, 0, chroma.shape[1] - y.shape[1])
+    blocks = jnp.concatenate([y, chroma]).reshape(-1, 8, chroma.shape[1])
+    is_luma = (np.arange(len(blocks)) < len(y) // 8)[:, None, None]
+    tables = jnp.where(is_luma, luma_table, chroma_table)
+    coded = through_blocks(lax.optimization_barrier(blocks), tables).reshape(-1, blocks.shape[2])
+    y, chroma = coded[: shape[0], : shape[1]], coded[len(y) :]
+    cb, cr = (upsample(c, shape, step) for c in jnp.split(chroma, 2, side))
+    return ycbcr_to_rgb(*lax.optimization_barrier((y, cb, cr)))  # or each colour upsamples for itself

@@ -184,6 +184,7 @@ def _through_jpeg(
     whole = round_through(255 * jnp.clip(image, 0, 1))
     if row_phase or column_phase:
         whole = jnp.pad(whole, ((row_phase, 0), (column_phase, 0), (0, 0)), mode="edge")
-    red, green, blue = planes(whole)
-    coded = compress((red, green, blue), luma.astype(image.dtype), chroma.astype(image.dtype), subsampling)
-    return jnp.stack([p[row_phase:, column_phase:] for p in coded], axis=-1) / 255
+    exact = jnp.promote_types(image.dtype, jnp.float32)  # float16 does not hold the sums
+    red, green, blue = planes(whole.astype(exact))
+    coded = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
+    return jnp.stack([p[row_phase:, column_phase:] for p in coded], axis=-1).astype(image.dtype) / 255
