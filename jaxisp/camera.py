@@ -12,14 +12,17 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
-from jaxisp.pipeline import Chain, Gate, Node, Shuffle, Stage, run, signature, stage
+from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, signature, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
+from jaxisp.stages.sensor import Clip
+from jaxisp.strips import run_in_strips
 
 WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"
 COLOR_MATRIX = "color_matrix"
+DISPLAY = "display_range"
 
 
 def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
@@ -48,7 +51,7 @@ def with_cfa(node: Node, cfa: str) -> Node:
         return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
     if isinstance(node, Gate):
         return dataclasses.replace(node, node=with_cfa(node.node, cfa))
-    assert isinstance(node, Chain | Shuffle)
+    assert isinstance(node, Row)
     return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))
 
 
@@ -85,6 +88,8 @@ def exposure_for_highlights(raw: Raw) -> float:
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
     """Render a RAW file. A gain map in it is applied; distortion opcodes are not.
 
+    Large frames are rendered in strips of rows, as far as the camera's stages allow it.
+
     Args:
         raw: what `jaxisp.io.read_raw` read.
         camera: a pipeline from a mosaic to encoded sRGB; `standard_camera()` unless given.
@@ -103,5 +108,6 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}; "
             "developing needs mosaic into encoded sRGB"
         )
-    picture = run(chain, params_for(camera, raw), shaded_mosaic(raw), key)
-    return orient(np.clip(np.asarray(picture), 0, 1), raw.orientation)
+    whole = Chain((chain, stage("clip", name=DISPLAY)), chain.name)
+    params = {**params_for(camera, raw), DISPLAY: Clip()}
+    return orient(np.asarray(run_in_strips(whole, params, shaded_mosaic(raw), key)), raw.orientation)

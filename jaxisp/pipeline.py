@@ -1,18 +1,11 @@
-"""Stages and what is built of them: Chain, Gate and Shuffle.
+"""What is built of stages: Chain, Gate and Shuffle, and running them on one image or a batch.
 
-A stage is a pure function on ONE image, `fn([params,] image, *, [key,] **static) -> image`, and its
-signature is the declaration: `params` is annotated with its class, `image` and the return with a
-domain, `key` makes it stochastic, other keyword-only arguments are static options. Parameters of a
-composition are one flat dict by stage name, so the tree does not depend on order or nesting. All
-nodes are hashable values: equal pipelines compare equal and share one compile.
+Parameters of a composition are one flat dict by stage name, so the tree does not depend on order or
+nesting. All nodes are hashable values: equal pipelines compare equal and share one compile.
 """
 
 import functools
-import inspect
-import re
-import typing
-import zlib
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,218 +15,31 @@ import numpy as np
 from jax import lax
 
 from jaxisp.domains import ANY, Domain, accepts
+from jaxisp.node import Node, Params, Stage, stage
 from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, batch_axes, param, parameters
+from jaxisp.registry import REGISTRY, Signature, register, sections, signature
+from jaxisp.selfcheck import check_backend
 
-Params = dict[str, Any]
-REGISTRY: dict[str, Callable[..., jax.Array]] = {}
-
-
-def register(fn: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
-
-    A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
-    test. Users register their own in the same way.
-    """
-    if REGISTRY.get(fn.__name__, fn) is not fn:
-        raise ValueError(f"a stage named {fn.__name__!r} is registered already")
-    signature(fn)
-    REGISTRY[fn.__name__] = fn
-    return fn
+__all__ = [
+    "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
+    "over_batch", "register", "run", "run_batch", "sample_keys", "sections", "signature", "stage",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Signature:
-    """What a stage function declares."""
-
-    params: type | None
-    stochastic: bool
-    static: tuple[tuple[str, Hashable], ...]
-    domain_in: Domain
-    domain_out: Domain
-
-
-@functools.cache
-def signature(fn: Callable[..., jax.Array]) -> Signature:
-    """Read a stage function's declaration. Raises TypeError where it is not one."""
-    hints = typing.get_type_hints(fn, include_extras=True)
-    arguments = inspect.signature(fn).parameters
-    positional = [n for n, a in arguments.items() if a.kind is not a.KEYWORD_ONLY]
-    static = {n: a.default for n, a in arguments.items() if a.kind is a.KEYWORD_ONLY and n != "key"}
-    if positional not in (["image"], ["params", "image"]):
-        raise TypeError(f"{fn.__name__}: positional arguments must be ([params,] image), got {positional}")
-    for name, default in static.items():
-        if default is inspect.Parameter.empty:
-            raise TypeError(f"{fn.__name__}: static option {name} needs a default")
-    try:
-        domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
-    except (KeyError, AttributeError):
-        raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
-    return Signature(hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out)
-
-
-def sections(fn: Callable[..., Any]) -> dict[str, str]:
-    """The named sections (Args, Returns, Gradient, Source, ...) of a docstring, and its "Summary"."""
-    text = inspect.getdoc(fn) or ""
-    parts = re.split(r"^(Args|Returns|Raises|Gradient|Source|Example):[ ]*", text, flags=re.MULTILINE)
-    found = {"Summary": parts[0].strip().split("\n\n")[0]}
-    for title, body in zip(parts[1::2], parts[2::2]):
-        found[title] = inspect.cleandoc(body).strip()
-    return {title: " ".join(body.split()) for title, body in found.items()}
-
-
-class Node:
-    """A stage or a composition. `apply` takes the whole pipeline's flat parameter dict."""
-
-    name: str
-
-    @property
-    def domain_in(self) -> Domain:
-        raise NotImplementedError
-
-    @property
-    def domain_out(self) -> Domain:
-        raise NotImplementedError
-
-    def stages(self) -> Iterator["Stage"]:
-        """The leaf stages, in order."""
-        raise NotImplementedError
-
-    def names(self) -> Iterator[str]:
-        """Everything that may own an entry of the parameter dict."""
-        raise NotImplementedError
-
-    def init(self) -> Params:
-        """Default parameters by stage name."""
-        raise NotImplementedError
-
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        raise NotImplementedError
-
-    @property
-    def stochastic(self) -> bool:
-        return any(signature(s.fn).stochastic for s in self.stages())
-
-    def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
-        """Run on one image. `params` may hold entries of stages that are not here."""
-        if self.stochastic and key is None:
-            raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
-        return self.apply(params, image, key)
-
-
-@dataclass(frozen=True)
-class Stage(Node):
-    """A stage function with its static options bound and a name. Build it with `stage`."""
-
-    fn: Callable[..., jax.Array]
-    name: str
-    static: tuple[tuple[str, Hashable], ...] = ()
-
-    @property
-    def domain_in(self) -> Domain:
-        return signature(self.fn).domain_in
-
-    @property
-    def domain_out(self) -> Domain:
-        return signature(self.fn).domain_out
-
-    @property
-    def options(self) -> dict[str, Hashable]:
-        """All static options, defaults included."""
-        return dict(signature(self.fn).static) | dict(self.static)
-
-    def stages(self) -> Iterator["Stage"]:
-        yield self
-
-    def names(self) -> Iterator[str]:
-        yield self.name
-
-    def init(self) -> Params:
-        cls = signature(self.fn).params
-        return {} if cls is None else {self.name: cls()}
-
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        declared = signature(self.fn)
-        self._check_image(image)
-        arguments: dict[str, Any] = dict(self.static)
-        if declared.stochastic:
-            assert key is not None, "__call__ has checked it"
-            arguments["key"] = jax.random.fold_in(key, zlib.crc32(self.name.encode()) & 0x7FFFFFFF)
-        if declared.params is None:
-            return self.fn(image, **arguments)
-        own = params.get(self.name)
-        if not isinstance(own, declared.params):
-            raise TypeError(
-                f"stage {self.name!r}: params[{self.name!r}] must be a {declared.params.__name__}, "
-                f"got {type(own).__name__}; there are {sorted(params)}"
-            )
-        return self.fn(own, image, **arguments)
-
-    def _check_image(self, image: jax.Array) -> None:
-        channels, shape = self.domain_in.channels, jnp.shape(image)
-        fits = {1: len(shape) == 2, 3: len(shape) == 3 and shape[-1] == 3}
-        if not (fits[channels] if channels else any(fits.values())):
-            wanted = {1: "(H, W)", 3: "(H, W, 3)", None: "(H, W) or (H, W, 3)"}[channels]
-            raise TypeError(
-                f"stage {self.name!r} takes one image, {self.domain_in.name} of shape {wanted}, "
-                f"got {shape}; use jax.vmap or jaxisp.run_batch for a batch"
-            )
-        if not jnp.issubdtype(jnp.result_type(image), jnp.floating):
-            raise TypeError(f"stage {self.name!r} takes floats, got {jnp.result_type(image)}: divide by 255?")
-
-
-def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **static: Any) -> Stage:
-    """Bind a stage function (or a registered name) to static options.
-
-    Args:
-        fn: the function, or its name in the registry.
-        name: what its parameters and its noise go by; the function's name unless given.
-        **static: its static options; lists and arrays become nested tuples.
-
-    Raises:
-        KeyError: no stage of that name. TypeError: no such option.
-    """
-    if isinstance(fn, str):
-        if fn not in REGISTRY:
-            raise KeyError(f"no stage named {fn!r}; there are {', '.join(sorted(REGISTRY))}")
-        fn = REGISTRY[fn]
-    known = dict(signature(fn).static)
-    for option in static:
-        if option not in known:
-            raise TypeError(f"{fn.__name__} has no option {option!r}; it has {sorted(known) or 'none'}")
-    changed = {n: _frozen(v) for n, v in sorted(static.items()) if _frozen(v) != known[n]}
-    return Stage(fn, name or fn.__name__, tuple(changed.items()))
-
-
-def _frozen(value: Any) -> Hashable:
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    return tuple(_frozen(v) for v in value) if isinstance(value, list | tuple) else value
-
-
-@dataclass(frozen=True)
-class Chain(Node):
-    """Stages one after another; itself a stage. Keys are folded in by stage name, so leaving one
-    stage out keeps the others' noise bit-identical."""
+class Row(Node):
+    """What nodes in a row have in common, in whatever order they run."""
 
     nodes: tuple[Node, ...]
-    name: str = "chain"
+    name: str
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", tuple(self.nodes))
-        _flow(self.nodes)
-        names = list(self.names())
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"names must be unique, {', '.join(twice)} is not: use stage(fn, name=...)")
 
     @property
     def domain_in(self) -> Domain:
         return _flow(self.nodes)[0]
-
-    @property
-    def domain_out(self) -> Domain:
-        return _flow(self.nodes)[1]
 
     def names(self) -> Iterator[str]:
         for node in self.nodes:
@@ -245,6 +51,26 @@ class Chain(Node):
 
     def init(self) -> Params:
         return {name: value for node in self.nodes for name, value in node.init().items()}
+
+
+@dataclass(frozen=True)
+class Chain(Row):
+    """Stages one after another; itself a stage. Keys are folded in by stage name, so leaving one
+    stage out keeps the others' noise bit-identical."""
+
+    name: str = "chain"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _flow(self.nodes)
+        names = list(self.names())
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"names must be unique, {', '.join(twice)} is not: use stage(fn, name=...)")
+
+    @property
+    def domain_out(self) -> Domain:
+        return _flow(self.nodes)[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         for i, node in enumerate(self.nodes):
@@ -318,24 +144,19 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Shuffle(Node):
+class Shuffle(Row):
     """Nodes that run in a traced order, `params[NAME].priority` ascending, without a retrace.
 
     Independent uniform priorities draw every order with equal chance. Unbatched, an order is free;
     under `vmap` with an order per image each step runs all branches.
     """
 
-    nodes: tuple[Node, ...]
     name: str = "order"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", tuple(self.nodes))
+        super().__post_init__()
         for node in self.nodes:
             _require_keeping(node, "Shuffle")
-
-    @property
-    def domain_in(self) -> Domain:
-        return _flow(self.nodes)[0]
 
     @property
     def domain_out(self) -> Domain:
@@ -343,16 +164,11 @@ class Shuffle(Node):
 
     def names(self) -> Iterator[str]:
         yield self.name
-        for node in self.nodes:
-            yield from node.names()
-
-    def stages(self) -> Iterator[Stage]:
-        for node in self.nodes:
-            yield from node.stages()
+        yield from super().names()
 
     def init(self) -> Params:
         order = Order(priority=np.linspace(0, 1, len(self.nodes), dtype=np.float32))
-        return {self.name: order, **{k: v for node in self.nodes for k, v in node.init().items()}}
+        return {self.name: order, **super().init()}
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         priority = params[self.name].priority
@@ -392,6 +208,7 @@ def _require_keeping(node: Node, what: str) -> None:
 @functools.partial(jax.jit, static_argnums=0)
 def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = None) -> jax.Array:
     """`node(params, image, key=key)`, compiled once per pipeline and shape."""
+    check_backend()  # while this is traced, so once a compile
     return node(params, image, key=key)
 
 
@@ -408,10 +225,41 @@ def run_batch(
         key: a root key, where anything draws noise.
         start: the global index of the first image.
     """
+    check_backend()
     params = {name: params[name] for name in node.init()}
     keys = None if key is None else sample_keys(key, start + jnp.arange(len(images)))
-    axes = (batch_axes(params), 0, None if key is None else 0)
-    return jax.vmap(lambda p, x, k: node(p, x, key=k), in_axes=axes)(params, images, keys)
+    return over_batch(node, params, images, keys)
+
+
+def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | None) -> jax.Array:
+    """A node on each image of a batch, with a key each; parameters as in `run_batch`.
+
+    Where switches or orders are per image, a CPU takes the images one by one: as a batch, each would
+    run every branch.
+    """
+    axes = batch_axes(params)
+
+    def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+        return node(params, image, key=key)
+
+    def together(*batch: Any) -> jax.Array:
+        return jax.vmap(one, in_axes=(axes, 0, None if keys is None else 0))(*batch)
+
+    def in_turn(params: Params, images: jax.Array, keys: jax.Array | None) -> jax.Array:
+        def at(i: jax.Array) -> jax.Array:
+            own = jax.tree.map(
+                lambda axis, v: v if axis is None else v[i], axes, params, is_leaf=lambda axis: axis is None
+            )
+            return one(own, images[i], None if keys is None else keys[i])
+
+        return lax.map(at, jnp.arange(len(images)))
+
+    switched = any(
+        isinstance(own, Switch | Order) and 0 in jax.tree.leaves(axes[name]) for name, own in params.items()
+    )
+    if not switched:
+        return together(params, images, keys)
+    return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
 
 
 def sample_keys(key: jax.Array, indices: jax.Array) -> jax.Array:

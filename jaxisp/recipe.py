@@ -13,9 +13,9 @@ from jax.typing import ArrayLike
 
 from jaxisp.errors import InputError
 from jaxisp.io.files import atomic_write
-from jaxisp.params import batch_axes
-from jaxisp.pipeline import Chain, sample_keys
+from jaxisp.pipeline import Chain, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
+from jaxisp.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
@@ -61,7 +61,7 @@ class Recipe:
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
         """One draw of the parameters."""
-        return draw(key, self.prior)
+        return draw(key, self.prior, self.chain.init())
 
     def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
         """Degrade a batch on the device, with one draw of the parameters an image.
@@ -80,6 +80,7 @@ class Recipe:
         Raises:
             TypeError: images are not (N, H, W, 3) floats.
         """
+        check_backend()
         shape = jnp.shape(images)
         if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
             got = f"{jnp.result_type(images)}{shape}"
@@ -150,8 +151,4 @@ def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> D
 @functools.partial(jax.jit, static_argnums=0)
 def _repeat(recipe: Recipe, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
     _, noise = _keys(key, start, len(images))
-
-    def one(params: Any, image: jax.Array, key: jax.Array) -> jax.Array:
-        return recipe.chain(params, image, key=key)
-
-    return jax.vmap(one, in_axes=(batch_axes(params), 0, 0))(params, images, noise)
+    return over_batch(recipe.chain, params, images, noise)

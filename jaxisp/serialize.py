@@ -16,7 +16,7 @@ import jaxisp.stages  # noqa: F401  (fills the registry)
 from jaxisp.checks import check_params
 from jaxisp.errors import InputError
 from jaxisp.params import specs
-from jaxisp.pipeline import Chain, Gate, Node, Shuffle, Stage, stage
+from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
 
 Table = dict[str, Any]
@@ -32,8 +32,9 @@ def encode_node(node: Node) -> Table:
         return table | ({"options": {n: _plain(v) for n, v in node.static}} if node.static else {})
     if isinstance(node, Gate):
         return {"gate": encode_node(node.node), "name": node.name}
-    kind = {Chain: "chain", Shuffle: "shuffle"}[type(node)]
-    return {kind: [encode_node(n) for n in node.nodes], "name": node.name}  # type: ignore[attr-defined]
+    assert isinstance(node, Row)
+    kind = "chain" if isinstance(node, Chain) else "shuffle"
+    return {kind: [encode_node(n) for n in node.nodes], "name": node.name}
 
 
 def decode_node(table: Any) -> Node:

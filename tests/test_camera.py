@@ -9,10 +9,11 @@ import rawpy
 from jaxisp.camera import develop, params_for, shaded_mosaic, standard_camera, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.io import read_raw
-from jaxisp.pipeline import Chain, Gate, Shuffle, stage
+from jaxisp.pipeline import Chain, Gate, Shuffle, run, stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene, write_pairs
+from jaxisp.strips import ROWS, reach
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +86,14 @@ def test_the_pattern_reaches_every_stage_that_needs_it():
     patterns = [s.options["cfa"] for s in with_cfa(chain, "BGGR").stages()]
     assert patterns == ["BGGR"] * 3
     assert stage("clip") == with_cfa(stage("clip"), "BGGR")
+
+
+def test_a_frame_is_developed_in_strips(raw):
+    camera = standard_camera("demosaic_hibbard")
+    assert raw.mosaic.shape[0] > ROWS + 2 * reach(camera.chain)
+    chain = with_cfa(camera.chain, raw.cfa)
+    whole = np.clip(run(chain, params_for(camera, raw), raw.mosaic), 0, 1)
+    np.testing.assert_allclose(develop(raw, camera), whole, atol=1e-6)
 
 
 def test_a_recipe_for_photographs_develops_nothing(raw):

@@ -177,6 +177,27 @@ def test_a_sample_has_the_same_bits_at_any_batch_size():
         np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
+def test_switches_and_orders_per_image():
+    """Values, bits at any batch size and gradients are those of one image at a time."""
+    node = Chain((Gate(stage(offset)), Shuffle((stage(square), stage(gain)))))
+    base = node.init()
+    per_image = {
+        "use_offset": type(base["use_offset"])(on=np.float32([0, 1, 1, 0])),
+        "order": type(base["order"])(priority=np.float32([[0, 1], [1, 0], [0, 1], [1, 0]])),
+    }
+    whole = np.asarray(run_batch(node, base | per_image, IMAGES))
+    slopes = jax.grad(lambda p: jnp.sum(run_batch(node, p, IMAGES) ** 2))(base | per_image)
+    each = []
+    for i in range(4):
+        own = base | {name: jax.tree.map(lambda v, i=i: v[i], value) for name, value in per_image.items()}
+        np.testing.assert_allclose(run(node, own, IMAGES[i]), whole[i], rtol=1e-6)
+        each.append(jax.grad(lambda p, i=i: jnp.sum(run(node, p, IMAGES[i]) ** 2))(own)["offset"].value)
+        alone = base | {name: jax.tree.map(lambda v, i=i: v[i : i + 1], v) for name, v in per_image.items()}
+        np.testing.assert_array_equal(run_batch(node, alone, IMAGES[i : i + 1])[0], whole[i])
+    np.testing.assert_allclose(slopes["offset"].value, sum(each), rtol=1e-5)
+    assert each[0] == 0 != each[1]
+
+
 def test_a_sample_has_the_same_bits_on_eight_devices():
     assert jax.device_count() == 8
     images = np.concatenate([IMAGES, IMAGES])

@@ -1,0 +1,68 @@
+"""Compiled programs kept on disk, so that the second start of a program does not compile again.
+
+JAX keeps none unless told to, and a library should not tell it at import. The command line does;
+a program of your own calls `keep_compiled()` before it computes, or sets JAX_COMPILATION_CACHE_DIR.
+"""
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+SWITCH = "JAXISP_CACHE"
+"""Environment variable: "off" keeps nothing, a path is kept in instead of the user's cache folder."""
+SHORTEST = 0.2
+"""Seconds that compiling must take for the program to be kept."""
+
+
+def cache_folder() -> Path | None:
+    """Where compiled programs are kept on this machine; None where that is switched off."""
+    chosen = os.environ.get(SWITCH, "")
+    if chosen.lower() in ("off", "0", "no", "false"):
+        return None
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    # the standard has a relative path ignored
+    base = Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()
+    return (Path(chosen) if chosen else base / "jaxisp") / f"programs-{_processor()}"
+
+
+def keep_compiled(folder: str | Path | None = None) -> Path | None:
+    """Let JAX keep compiled programs, for the whole process. What is set already stays as it is.
+
+    Args:
+        folder: `cache_folder()` unless given.
+
+    Returns:
+        The folder that is used, or None where it is switched off or cannot be written.
+    """
+    # XLA reports the features of each program that it loads as errors, which they are not
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+
+    if already := jax.config.values["jax_compilation_cache_dir"]:
+        return Path(already)
+    found = cache_folder() if folder is None else Path(folder)
+    if found is None or not _writable(found):
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(found))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
+    return found
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
+
+
+def _processor() -> str:
+    """A name for it: machines that share a home need not have the same instructions."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = [platform.processor()]
+    features = sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})
+    text = "\n".join(features or lines)
+    return f"{platform.machine()}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"

@@ -1,0 +1,144 @@
+"""The nodes that pipelines are built of, and the simplest: a stage with its options and a name."""
+
+import zlib
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.domains import Domain
+from jaxisp.registry import REGISTRY, signature
+
+Params = dict[str, Any]
+
+
+class Node:
+    """A stage or a composition. `apply` takes the whole pipeline's flat parameter dict."""
+
+    name: str
+
+    @property
+    def domain_in(self) -> Domain:
+        raise NotImplementedError
+
+    @property
+    def domain_out(self) -> Domain:
+        raise NotImplementedError
+
+    def stages(self) -> Iterator["Stage"]:
+        """The leaf stages, in order."""
+        raise NotImplementedError
+
+    def names(self) -> Iterator[str]:
+        """Everything that may own an entry of the parameter dict."""
+        raise NotImplementedError
+
+    def init(self) -> Params:
+        """Default parameters by stage name."""
+        raise NotImplementedError
+
+    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+        raise NotImplementedError
+
+    @property
+    def stochastic(self) -> bool:
+        return any(signature(s.fn).stochastic for s in self.stages())
+
+    def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
+        """Run on one image. `params` may hold entries of stages that are not here."""
+        if self.stochastic and key is None:
+            raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
+        return self.apply(params, image, key)
+
+
+@dataclass(frozen=True)
+class Stage(Node):
+    """A stage function with its static options bound and a name. Build it with `stage`."""
+
+    fn: Callable[..., jax.Array]
+    name: str
+    static: tuple[tuple[str, Hashable], ...] = ()
+
+    @property
+    def domain_in(self) -> Domain:
+        return signature(self.fn).domain_in
+
+    @property
+    def domain_out(self) -> Domain:
+        return signature(self.fn).domain_out
+
+    @property
+    def options(self) -> dict[str, Hashable]:
+        """All static options, defaults included."""
+        return dict(signature(self.fn).static) | dict(self.static)
+
+    def stages(self) -> Iterator["Stage"]:
+        yield self
+
+    def names(self) -> Iterator[str]:
+        yield self.name
+
+    def init(self) -> Params:
+        cls = signature(self.fn).params
+        return {} if cls is None else {self.name: cls()}
+
+    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+        declared = signature(self.fn)
+        self._check_image(image)
+        arguments: dict[str, Any] = dict(self.static)
+        if declared.stochastic:
+            assert key is not None, "__call__ has checked it"
+            arguments["key"] = jax.random.fold_in(key, zlib.crc32(self.name.encode()) & 0x7FFFFFFF)
+        if declared.params is None:
+            return self.fn(image, **arguments)
+        own = params.get(self.name)
+        if not isinstance(own, declared.params):
+            raise TypeError(
+                f"stage {self.name!r}: params[{self.name!r}] must be a {declared.params.__name__}, "
+                f"got {type(own).__name__}; there are {sorted(params)}"
+            )
+        return self.fn(own, image, **arguments)
+
+    def _check_image(self, image: jax.Array) -> None:
+        channels, shape = self.domain_in.channels, jnp.shape(image)
+        fits = {1: len(shape) == 2, 3: len(shape) == 3 and shape[-1] == 3}
+        if not (fits[channels] if channels else any(fits.values())):
+            wanted = {1: "(H, W)", 3: "(H, W, 3)", None: "(H, W) or (H, W, 3)"}[channels]
+            raise TypeError(
+                f"stage {self.name!r} takes one image, {self.domain_in.name} of shape {wanted}, "
+                f"got {shape}; use jax.vmap or jaxisp.run_batch for a batch"
+            )
+        if not jnp.issubdtype(jnp.result_type(image), jnp.floating):
+            raise TypeError(f"stage {self.name!r} takes floats, got {jnp.result_type(image)}: divide by 255?")
+
+
+def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **static: Any) -> Stage:
+    """Bind a stage function (or a registered name) to static options.
+
+    Args:
+        fn: the function, or its name in the registry.
+        name: what its parameters and its noise go by; the function's name unless given.
+        **static: its static options; lists and arrays become nested tuples.
+
+    Raises:
+        KeyError: no stage of that name. TypeError: no such option.
+    """
+    if isinstance(fn, str):
+        if fn not in REGISTRY:
+            raise KeyError(f"no stage named {fn!r}; there are {', '.join(sorted(REGISTRY))}")
+        fn = REGISTRY[fn]
+    known = dict(signature(fn).static)
+    for option in static:
+        if option not in known:
+            raise TypeError(f"{fn.__name__} has no option {option!r}; it has {sorted(known) or 'none'}")
+    changed = {n: _frozen(v) for n, v in sorted(static.items()) if _frozen(v) != known[n]}
+    return Stage(fn, name or fn.__name__, tuple(changed.items()))
+
+
+def _frozen(value: Any) -> Hashable:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(_frozen(v) for v in value) if isinstance(value, list | tuple) else value
