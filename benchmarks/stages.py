@@ -1,7 +1,7 @@
 """Time every stage on one batch: compile, forward, and gradient to parameters and image.
 
-    make bench                              # all stages
-    python -m benchmarks.stages jpeg bilateral --out benchmarks/results/stages.json
+    make bench                                # all stages
+    python -m benchmarks.stages jpeg median   # some, printed only
 
 Rounds are interleaved over the stages, so that a busy moment hits all alike; medians are reported
 with the interquartile range. Machine and versions are in the JSON.
@@ -9,9 +9,6 @@ with the interquartile range. Machine and versions are in the JSON.
 
 import argparse
 import json
-import os
-import platform
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,21 +19,28 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.machine import load, machine
+from benchmarks.report import write_performance
+from benchmarks.timing import seconds
 from jaxisp.pipeline import Stage, run_batch, stage
 from jaxisp.stages import STAGES
 
 BATCH, SIDE, ROUNDS = 32, 80, 9
+RESULTS = Path("benchmarks/results/stages.json")
+PAGE = Path("docs/results/performance.md")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("stages", nargs="*", help="default: all")
-    parser.add_argument("--out", type=Path, help="also write JSON here")
+    parser.add_argument("stages", nargs="*", help="default: all, which is written")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--report", type=Path, default=PAGE)
     arguments = parser.parse_args()
     names = arguments.stages or sorted(STAGES)
     cases = {
         f"{name} {what}": prepare(stage(name), what) for name in names for what in ("forward", "gradient")
     }
+    busy = [load()]
     compiled = {name: timed(call) for name, call in cases.items()}
     samples: dict[str, list[float]] = {name: [] for name in cases}
     for _ in range(ROUNDS):
@@ -44,9 +48,12 @@ def main() -> None:
             samples[name].append(timed(call))
     results = {name: summary(compiled[name], times) for name, times in samples.items()}
     show(names, results)
-    if arguments.out:
+    if not arguments.stages:
+        found = {"machine": machine(), "load": [*busy, load()], "milliseconds": results}
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(json.dumps({"machine": machine(), "milliseconds": results}, indent=1))
+        arguments.out.write_text(json.dumps(found, indent=1) + "\n")
+        peers = arguments.out.with_name("peers.json")
+        write_performance(arguments.report, peers=peers, stages=arguments.out)
 
 
 def prepare(case: Stage, what: str) -> Callable[[], Any]:
@@ -62,9 +69,7 @@ def prepare(case: Stage, what: str) -> Callable[[], Any]:
 
 
 def timed(call: Callable[[], Any]) -> float:
-    clock = time.perf_counter()
-    jax.block_until_ready(call())
-    return 1e3 * (time.perf_counter() - clock)
+    return 1e3 * seconds(call)
 
 
 def summary(first: float, times: list[float]) -> dict[str, float]:
@@ -88,19 +93,6 @@ def show(names: list[str], results: dict[str, dict[str, float]]) -> None:
             f"{gradient['first'] / 1e3:.1f} s",
         )
     Console(width=120).print(table)
-
-
-def machine() -> dict[str, Any]:
-    return {
-        "backend": jax.default_backend(),
-        "device": jax.devices()[0].device_kind,
-        "cores": os.cpu_count(),
-        "processor": platform.processor() or platform.machine(),
-        "python": platform.python_version(),
-        "jax": jax.__version__,
-        "jaxlib": jax.lib.__version__,
-        "numpy": np.__version__,
-    }
 
 
 if __name__ == "__main__":

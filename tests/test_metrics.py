@@ -63,9 +63,19 @@ def test_ssim_is_that_of_scikit_image(window, shape, gain):
     with jax.enable_x64(True):
         np.testing.assert_allclose(ssim(a, b, window), expected, atol=1e-6)
         np.testing.assert_allclose(ssim_map(a, b, window), full, atol=1e-6)
-    single = jax.jit(ssim, static_argnames="window")(jnp.float32(a), jnp.float32(b), window=window)
+    a, b = a.astype(np.float32), b.astype(np.float32)
+    single = jax.jit(ssim, static_argnames="window")(a, b, window=window)
     assert single.dtype == jnp.float32
-    np.testing.assert_allclose(single, expected, atol=1e-5)
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    expected = structural_similarity(a, b, data_range=1, channel_axis=channel, **SKIMAGE[window])
+    np.testing.assert_allclose(single, expected, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.05])
+def test_single_precision_psnr_is_that_of_scikit_image(gain):
+    a, b = (x.astype(np.float32) for x in pair((21, 34, 3), gain=gain))
+    expected = peak_signal_noise_ratio(a.astype(np.float64), b.astype(np.float64), data_range=1)
+    np.testing.assert_allclose(jax.jit(psnr)(a, b), expected, rtol=1e-6)
 
 
 def test_ssim_of_equal_and_of_constant_images():

@@ -1,0 +1,196 @@
+"""The pages of results, made from the JSON alone: the same JSON gives the same page."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+INTRODUCTION = """# Performance
+
+Made by `make bench`; the page alone by `python -m benchmarks.peers --render`.
+
+Calls take turns in one process after a warm-up; times are medians in ms, with the interquartile range
+in brackets. A batch is 32 images of 80x80. *peer / ours* above 1 is faster than the peer; *goal* is the
+least ratio aimed at. Outputs are compared before they are timed. The *floor* is the larger of bytes
+over the bandwidth of a copy of that size and flops over the speed of a matrix product, both measured in
+the same run. *First call* is compilation and one run. *Scratch* is the memory the compiled program
+takes beside its input and output.
+"""
+
+
+def write_performance(path: Path, peers: Path, stages: Path | None = None) -> None:
+    """Write the page of `benchmarks.peers` and, where its results are there, of `benchmarks.stages`."""
+    stages = stages or peers.with_name("stages.json")
+    parts = [INTRODUCTION]
+    if peers.exists():
+        results = json.loads(peers.read_text())["families"]
+        parts += [tally(results), versions(results), *(family(n, r) for n, r in results.items())]
+    if stages.exists():
+        parts.append(stage_section(json.loads(stages.read_text())))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(part.rstrip() + "\n" for part in parts if part))
+
+
+def verdict(peer: dict[str, Any]) -> str:
+    """Won or lost against a peer, and against the goal."""
+    result = "won" if peer["ratio"] >= 1 else "lost"
+    if peer["goal"] is None:
+        return result
+    return f"{result}, goal {'met' if peer['ratio'] >= peer['goal'] else 'missed'}"
+
+
+def tally(results: dict[str, Any]) -> str:
+    rows = [row for result in results.values() for row in result["rows"]]
+    timed = [peer for row in rows for peer in row.get("peers", ()) if "ratio" in peer]
+    verdicts = [verdict(peer) for peer in timed]
+    won = sum(v.startswith("won") for v in verdicts)
+    met, missed = (sum(v.endswith(word) for v in verdicts) for word in ("met", "missed"))
+    slopes = [row["gradient"] for row in rows if "ratio" in row.get("gradient", {})]
+    within = sum(g["ratio"] <= g["goal"] for g in slopes)
+    return (
+        f"Of {len(timed)} comparisons {won} are won and {len(timed) - won} lost; {met} goals are met and "
+        f"{missed} missed. Of {len(slopes)} gradients {within} are within their goal."
+    )
+
+
+def versions(results: dict[str, Any]) -> str:
+    """Of all runs; a library that one of them lacked is named."""
+    found: dict[str, set[str]] = {}
+    for result in results.values():
+        for name, version in result["machine"]["versions"].items():
+            found.setdefault(name, set()).add(version)
+    absent = sorted(name for name, of in found.items() if "not installed" in of)
+    text = ", ".join(f"{name} {' and '.join(sorted(of))}" for name, of in found.items() if name not in absent)
+    left = f" Not installed in at least one run, its comparisons left out: {', '.join(absent)}."
+    return f"{text}.{left if absent else ''}"
+
+
+def family(name: str, result: dict[str, Any]) -> str:
+    lines = [f"## {name}", "", about(result["machine"], result["load"], result["limits"]), ""]
+    if "error" in result:
+        lines += [f"**Stopped early: {result['error']}**", ""]
+    ours = [row for row in result["rows"] if "ms" in row]
+    if ours:
+        lines += [table(OURS, map(our_cells, ours)), ""]
+    pairs = [(row, peer) for row in ours for peer in row["peers"]]
+    if pairs:
+        lines += [table(PEERS, (peer_cells(row, peer) for row, peer in pairs)), ""]
+    failed = [row for row in result["rows"] if "error" in row]
+    lines += [f"**{row['stage']}, {row['size']} did not run: {row['error']}**\n" for row in failed]
+    noted = [row for row in result["rows"] if row.get("notes")]
+    lines += [f"- {row['stage']}, {row['size']}: {row['notes']}" for row in noted]
+    return "\n".join(lines)
+
+
+def about(machine: dict[str, Any], load: list[float], limits: dict[str, Any]) -> str:
+    threads = ", ".join(f"{k} {v}" for k, v in machine["threads"].items())
+    copies = ", ".join(f"{v} ({k})" for k, v in limits["copy_gb_per_s"].items())
+    host = (
+        f"{machine['processor']}, {machine['cores']} cores, {machine['backend']}, Python {machine['python']}"
+    )
+    return (
+        f"{host}; threads: {threads}; load before and after {load[0]} and {load[-1]}; copy {copies} GB/s, "
+        f"matrix product {limits['peak_gflop_per_s']} Gflop/s."
+    )
+
+
+OURS = (
+    "stage", "size", "ours", "gradient", "gradient / ours", "floor", "times the floor", "first call",
+    "scratch",
+)  # fmt: skip
+PEERS = ("stage", "size", "peer", "peer", "ours", "peer / ours", "goal", "result", "outputs")
+
+
+def our_cells(row: dict[str, Any]) -> list[str]:
+    slope = row.get("gradient")
+    scratch = "" if row["temporaries_mb"] is None else f"{row['temporaries_mb']:.1f} MB"
+    slope_cells = [time(slope), slope_ratio(slope)] if slope else ["", ""]
+    floor_cells = ["", ""]
+    if "floor_ms" in row:
+        floor_cells = [f"{row['floor_ms']:.3g} ({row['floor_by']})", f"{row['times_floor']:.1f}"]
+    first = f"{row['first_call_s']:.1f} s"
+    return [row["stage"], row["size"], time(row), *slope_cells, *floor_cells, first, scratch]
+
+
+def slope_ratio(slope: dict[str, Any]) -> str:
+    missed = slope["ratio"] > slope["goal"]
+    return f"{slope['ratio']:.1f}" + (f" (goal {slope['goal']:g} missed)" if missed else "")
+
+
+def peer_cells(row: dict[str, Any], peer: dict[str, Any]) -> list[str]:
+    first = [row["stage"], row["size"], peer["name"]]
+    goal = "" if peer["goal"] is None else f"{peer['goal']:g}"
+    if "error" in peer:
+        return [*first, "", time(row), "", goal, f"did not run: {peer['error']}", ""]
+    outputs = peer.get("outputs", "not compared")
+    return [*first, time(peer), time(row), f"{peer['ratio']:.2f}", goal, verdict(peer), outputs]
+
+
+def time(entry: dict[str, float]) -> str:
+    return f"{significant(entry['ms'])} ({significant(entry['iqr'])})"
+
+
+def significant(x: float) -> str:
+    """Three digits, never in powers of ten."""
+    return f"{x:.0f}" if x >= 100 else f"{x:.3g}"
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table; bars in cells are escaped."""
+    lines = [list(head)]
+    lines += [["---"] * len(lines[0]), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+STAGES = ("stage", "forward", "gradient", "gradient / forward", "first call", "first gradient call")
+
+
+def stage_section(results: dict[str, Any]) -> str:
+    """Every registered stage on one batch, forward and gradient."""
+    times = results["milliseconds"]
+    names = sorted({name.rsplit(" ", 1)[0] for name in times})
+    rows = []
+    for name in names:
+        forward, gradient = times[f"{name} forward"], times[f"{name} gradient"]
+        rows.append([
+            name, *(f"{significant(t['median'])} ({significant(t['iqr'])})" for t in (forward, gradient)),
+            f"{gradient['median'] / forward['median']:.1f}",
+            *(f"{t['first'] / 1e3:.1f} s" for t in (forward, gradient)),
+        ])  # fmt: skip
+    ratios = [float(row[3]) for row in rows]
+    head = "## Every stage, one batch of 32 at 80x80\n\nMade by `python -m benchmarks.stages`. "
+    slow = sum(ratio > 6 for ratio in ratios)
+    over = f"{slow} of {len(ratios)} gradients take more than six times the forward's time."
+    return f"{head}{over}\n\n{table(STAGES, rows)}"
+
+
+EXACTNESS = """# Exactness
+
+Made by `make bench` (`python -m benchmarks.exactness`). Each row is the worst of all its cases; levels
+are of an image in [0, 1] unless another unit is given. The tests hold the same bounds on fewer cases.
+
+- Borders: everything is reflected about the edge pixel, which keeps the phase of the colour filters.
+  colour-demosaicing repeats the edge pixel, so what its borders reach differs by design: 1 px for
+  bilinear, 2 for Malvar, 8 for Menon.
+- In double precision the bounds are those of single precision; the figures say how much of them is
+  rounding.
+"""
+
+
+def write_exactness(path: Path, results: Path) -> None:
+    """Write the page of `benchmarks.exactness`."""
+    found = json.loads(results.read_text())
+    rows = found["rows"]
+    passed = sum(row["passed"] for row in rows)
+    host, head = found["machine"], ("stage", "reference", "what was run", "worst", "must", "result")
+    where = f"{host['processor']}, {host['backend']}, jax {host['versions']['jax']}"
+    about = f"{passed} of {len(rows)} rows pass. {where}."
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join([EXACTNESS, about, "", table(head, map(exact_cells, rows)), ""]))
+
+
+def exact_cells(row: dict[str, Any]) -> list[str]:
+    sign = ">=" if row["at_least"] else "<="
+    worst, must = (f"{row[key]:.3g} {row['unit']}".rstrip() for key in ("worst", "must"))
+    result = "pass" if row["passed"] else "**FAIL**"
+    return [row["stage"], row["reference"], row["ran"], worst, f"{sign} {must}", result]
