@@ -1,5 +1,6 @@
 """`jaxisp fit`: a camera from RAW+JPEG pairs."""
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -14,29 +15,66 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--report", metavar="DIR", help="write DIR/report.html, with pictures before and after"
     )
-    command.add_argument("--steps", type=positive, default=250, help="gradient steps (default 250)")
-    command.add_argument("--demosaic", default="demosaic_ahd", metavar="STAGE", help="default demosaic_ahd")
+    command.add_argument(
+        "--steps", type=positive, default=30, help="most Gauss-Newton steps of each phase (default 30)"
+    )
+    command.add_argument(
+        "--demosaic", default="auto", metavar="STAGE", help="default auto: the one that fits best"
+    )
+    command.add_argument(
+        "--median", default="auto", metavar="SIZE", help="none, cross, 3x3, 5x5 or auto (default auto)"
+    )
+    command.add_argument(
+        "--per-image",
+        default="",
+        metavar="NAMES",
+        help="parameters that each image has of its own, by commas: stages, stage.field, tone, colour",
+    )
+    command.add_argument(
+        "--recipe", metavar="OUT.toml", help="also write a recipe for `jaxisp degrade` that draws this camera"
+    )
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.fit import fit_dataset
+    from jaxisp.fit import fit_dataset, prior_from_cameras
+    from jaxisp.fit.journal import beside
     from jaxisp.fit.report import write_report
     from jaxisp.io import output_folder
 
-    output_folder(Path(arguments.out).parent)  # a fault here should not cost a fit
+    for path in filter(None, (arguments.out, arguments.recipe)):
+        output_folder(Path(path).parent)  # a fault here should not cost a fit
     with progress("fitting") as tick:
-        result = fit_dataset(arguments.dataset, steps=arguments.steps, demosaic=arguments.demosaic, tick=tick)
+        result = fit_dataset(
+            arguments.dataset,
+            steps=arguments.steps,
+            demosaic=arguments.demosaic,
+            median=arguments.median,
+            per_image=[name for name in arguments.per_image.split(",") if name],
+            journal=beside(arguments.out),
+            tick=tick,
+        )
     result.camera.save(arguments.out)
+    if arguments.recipe:
+        prior_from_cameras([result.camera]).save(arguments.recipe)
     if arguments.report:
         write_report(result, arguments.report)
+    for pair in result.pairs:
+        for note in pair.notes:
+            print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
     if arguments.json:
         print_json({"camera": arguments.out, **result.as_dict()})
         return report_failures(result.failed)
+    _print(result, arguments.out)
+    return report_failures(result.failed)
+
+
+def _print(result: Any, out: str) -> None:
     rows = [
         (p.name, f"{p.psnr:.2f}", f"{p.ssim:.4f}", f"{p.held_out_psnr:.2f}", f"{p.held_out_ssim:.4f}",
          f"{p.shift[0]:+.2f} {p.shift[1]:+.2f}")
         for p in result.pairs
     ]  # fmt: skip
     print_table(("pair", "PSNR fitted", "SSIM", "PSNR held out", "SSIM", "shift [px]"), rows)
-    print(f"{arguments.out} in {result.seconds:.0f} s; held out: {result.how}")
-    return report_failures(result.failed)
+    print(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
+    if result.unidentified:
+        print(f"not identified by these pairs: {', '.join(result.unidentified)}")

@@ -10,13 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.color import LUMA_601
+from jaxisp.fit.planes import SAMPLE, SMALLEST, factors, luma, normalise, ranks, reduce
 from jaxisp.io.orientation import INVERSE, orient
 
-_COARSE = 384  # px of the longer side where the search starts
-_FINE = 1024  # px of the longer side where it ends
-_SMALLEST = 16  # px of the shorter side
-_SAMPLE = 100_000  # pixels that are ranked
 _PATCH = 30.0  # px whose normalised values are about as good as one independent one
 _CHANCE = 5.0  # standard deviations that are not reached by chance
 _ALIKE = 0.2  # what different scenes reach by being built alike (a bright sky, an upright figure)
@@ -50,17 +46,17 @@ def estimate(reference: np.ndarray, moving: np.ndarray) -> Alignment:
     Raises:
         ValueError: a picture is too small or not finite.
     """
-    still, moved = _luma("reference", reference), _luma("moving", moving)
-    factors = _factors(still.shape, moved.shape)
-    place = _search(still, moved, factors[0])[0]
+    still, moved = luma("reference", reference), luma("moving", moving)
+    sizes = factors(still.shape, moved.shape)
+    place = _search(still, moved, sizes[0])[0]
     prior = place.scale
     correlation = -1.0
-    for index, factor in enumerate((*factors, factors[-1])):
-        a, b = _reduce(still, factor), _reduce(moved, factor)
-        if index == len(factors) and np.ndim(moving) == 3:  # aligned well enough to compare colours
-            b = _recolor(a, [_reduce(np.asarray(moving)[..., c], factor) for c in range(3)], place.at(factor))
+    for index, factor in enumerate((*sizes, sizes[-1])):
+        a, b = reduce(still, factor), reduce(moved, factor)
+        if index == len(sizes) and np.ndim(moving) == 3:  # aligned well enough to compare colours
+            b = _recolor(a, [reduce(np.asarray(moving)[..., c], factor) for c in range(3)], place.at(factor))
         refined, agreement = _refine(a, b, place.at(factor), prior)
-        if factor == factors[0]:
+        if factor == sizes[0]:
             correlation = agreement
         if agreement < _chance(min(a.size, b.size)):
             break  # only noise is left at this size
@@ -76,7 +72,7 @@ def same_scene(alignment: Alignment, shape: tuple[int, ...]) -> bool:
         shape: of the smaller picture; the smaller it is, the more chance gives. Below about 64 px
             a true pair that is noisy may not stand out from it.
     """
-    factor = _factors(shape, shape)[0]
+    factor = factors(shape, shape)[0]
     return float(alignment.correlation) > max(_chance(shape[0] * shape[1] / factor**2), _ALIKE)
 
 
@@ -119,8 +115,8 @@ def best_orientation(reference: np.ndarray, moving: np.ndarray) -> int:
 
     See `jaxisp.io.orientation.orient` for what each one does.
     """
-    still, moved = _luma("reference", reference), _luma("moving", moving)
-    factor = _factors(still.shape, moved.shape)[0]
+    still, moved = luma("reference", reference), luma("moving", moving)
+    factor = factors(still.shape, moved.shape)[0]
     return max(INVERSE, key=lambda orientation: _search(still, orient(moved, orientation), factor)[1])
 
 
@@ -168,93 +164,24 @@ def _sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
     return sum(w * tap for w, tap in zip(weights, taps))
 
 
-def _luma(name: str, image: np.ndarray) -> np.ndarray:
-    array = np.asarray(image, np.float32)
-    plane = (array @ np.asarray(LUMA_601, np.float32) if array.ndim == 3 else array).astype(np.float64)
-    if min(plane.shape) < _SMALLEST:
-        raise ValueError(f"{name}: {plane.shape[0]}x{plane.shape[1]} px is too small to be aligned")
-    if not np.isfinite(plane).all():
-        raise ValueError(f"{name}: holds NaN or infinite values")
-    return plane
-
-
-def _factors(*shapes: tuple[int, ...]) -> list[int]:
-    """Reductions from the coarsest to the finest that is worth while."""
-    longest, shortest = max(n for s in shapes for n in s[:2]), min(n for s in shapes for n in s[:2])
-    finest = 1
-    while longest // finest > _FINE:
-        finest *= 2
-    factors = [finest]
-    while longest // factors[0] > _COARSE and shortest // factors[0] >= 2 * _SMALLEST:
-        factors.insert(0, 2 * factors[0])
-    return factors
-
-
-def _reduce(plane: np.ndarray, factor: int) -> np.ndarray:
-    """Means of blocks of factor x factor; what is left over is cut off."""
-    h, w = (n // factor for n in plane.shape)
-    return plane[: h * factor, : w * factor].reshape(h, factor, w, factor).mean(axis=(1, 3))
-
-
-def _normalise(plane: np.ndarray, radius: int = 8) -> np.ndarray:
-    """Zero mean and unit variance in each neighbourhood of the ranks, which no monotone curve changes."""
-    ranks = _ranks(plane)
-    smooth = _blur(ranks)
-    detail = smooth - _box(smooth, radius)
-    variance = _box(detail**2, radius) + 1e-12
-    # of white noise the blur leaves 0.094 times what it takes away; what is all noise counts little
-    trust = np.clip(1 - 0.094 * _box((ranks - smooth) ** 2, radius) / variance, 0.05, 1)
-    deviation = np.sqrt(variance)
-    out = trust * detail / (deviation + deviation.mean())
-    return out / (out.std() + 1e-9)
-
-
-def _ranks(plane: np.ndarray) -> np.ndarray:
-    """The share of pixels that are darker, in (0, 1)."""
-    sample = plane.ravel()[:: plane.size // _SAMPLE + 1]
-    levels, counts = np.unique(sample, return_counts=True)
-    return np.interp(plane, levels, (np.cumsum(counts) - 0.5 * counts) / sample.size)
-
-
 def _recolor(still: np.ndarray, channels: list[np.ndarray], place: _Place) -> np.ndarray:
     """The moving picture's channels made one plane that resembles `still`, by a quadratic of their ranks.
 
     A curve per channel and a mix of channels do not leave luma a function of luma: edges would seem to move.
     """
-    r, g, b = (_ranks(c) for c in channels)
+    r, g, b = (ranks(c) for c in channels)
     terms = [np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r]
     area = _inside(place, still.shape, r.shape)
     seen = [_view(t, place, still.shape)[area].ravel() for t in terms]
-    thin = slice(None, None, seen[0].size // _SAMPLE + 1)
-    wanted = _ranks(still)[area].ravel()[thin]
+    thin = slice(None, None, seen[0].size // SAMPLE + 1)
+    wanted = ranks(still)[area].ravel()[thin]
     weights = np.linalg.lstsq(np.stack([t[thin] for t in seen], 1), wanted, rcond=1e-6)[0]
     return np.tensordot(weights, np.stack(terms), 1)
 
 
-def _blur(plane: np.ndarray) -> np.ndarray:
-    """Binomial, standard deviation 1 px: keeps interpolation error and noise out of the estimate."""
-    for axis in (0, 1):
-        padded = np.pad(plane, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="reflect")
-        moved = [np.take(padded, np.arange(k, k + plane.shape[axis]), axis) for k in range(5)]
-        plane = (moved[0] + moved[4] + 4 * (moved[1] + moved[3]) + 6 * moved[2]) / 16
-    return plane
-
-
-def _box(plane: np.ndarray, radius: int) -> np.ndarray:
-    """Mean of (2 radius + 1)**2 neighbours, reflected at the border."""
-    width = 2 * radius + 1
-    for axis in (0, 1):
-        padding = [(radius + 1, radius) if a == axis else (0, 0) for a in (0, 1)]
-        total = np.cumsum(np.pad(plane, padding, mode="symmetric"), axis=axis)
-        n = plane.shape[axis]
-        ends, starts = (np.take(total, np.arange(first, first + n), axis) for first in (width, 0))
-        plane = (ends - starts) / width
-    return plane
-
-
 def _search(still: np.ndarray, moved: np.ndarray, factor: int) -> tuple[_Place, float]:
     """The best whole shift (of reduced pixels), at scale 1 and, for other sizes, at that which fits."""
-    a, b = _normalise(_reduce(still, factor)), _normalise(_reduce(moved, factor))
+    a, b = normalise(reduce(still, factor)), normalise(reduce(moved, factor))
     ratio = np.asarray(b.shape) / np.asarray(a.shape)
     scales = [np.ones(2)] + ([ratio] if still.shape != moved.shape else [])
     found = []
@@ -313,9 +240,9 @@ def _refine(still: np.ndarray, moved: np.ndarray, place: _Place, prior: np.ndarr
     """`place` corrected, and the correlation there, times the root of the share that overlaps."""
     area = _inside(place, still.shape, moved.shape)
     a, b = still[area], _view(moved, place, still.shape)[area]
-    if min(a.shape) < _SMALLEST:
+    if min(a.shape) < SMALLEST:
         return place, -1.0
-    change, correlation = _fit(_normalise(a), _normalise(b), prior / place.scale)
+    change, correlation = _fit(normalise(a), normalise(b), prior / place.scale)
     first = np.array([s.start for s in area])
     offset = place.offset + place.scale * (change.offset + first - change.scale * first)
     return _Place(offset, place.scale * change.scale), correlation * _share(a.size, still, moved)

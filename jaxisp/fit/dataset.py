@@ -1,26 +1,33 @@
 """Fit a camera to a folder of RAW+JPEG pairs."""
 
 from pathlib import Path
+from typing import Any
 
 from jaxisp.errors import InputError
-from jaxisp.fit.fitter import Example, FitResult, Tick, fit_examples
-from jaxisp.io import open_dataset
+from jaxisp.fit.fitter import fit_examples
+from jaxisp.fit.result import FitResult
+from jaxisp.fit.tiles import Example
+from jaxisp.io import Pair, open_dataset
 
 
-def fit_dataset(
-    folder: str | Path,
-    *,
-    steps: int = 250,
-    demosaic: str = "demosaic_ahd",
-    tick: Tick = lambda done, total, text: None,
-) -> FitResult:
+class _Lazy:
+    """A pair that is read when it is called: a folder of large ones does not fit into memory."""
+
+    def __init__(self, pair: Pair):
+        self.pair, self.name = pair, pair.name
+
+    def __call__(self) -> Example:
+        loaded = self.pair.load()
+        assert loaded.raw is not None, "a raw+jpeg pair has one"
+        return Example(self.name, loaded.raw, loaded.picture, loaded.jpeg)
+
+
+def fit_dataset(folder: str | Path, **options: Any) -> FitResult:
     """Fit one camera to every readable pair of a folder.
 
     Args:
         folder: a data set of RAW+JPEG pairs.
-        steps: gradient steps in all.
-        demosaic: the demosaicking stage.
-        tick: called with (done, total, text).
+        **options: those of `jaxisp.fit.fit_examples`.
 
     Returns:
         the fit; pairs that could not be read or aligned are in `failed`.
@@ -29,17 +36,10 @@ def fit_dataset(
         InputError: no such folder, no pair, or none that can be fitted.
     """
     dataset = open_dataset(folder, kind="raw+jpeg")
-    examples, failed = [], [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
-    for pair in dataset.pairs:
-        try:
-            loaded = pair.load()
-        except InputError as error:
-            failed.append((pair.name, str(error)))
-            continue
-        assert loaded.raw is not None, "a raw+jpeg pair has one"
-        examples.append(Example(pair.name, loaded.raw, loaded.picture, loaded.jpeg))
-    if not examples:
-        raise InputError("; ".join(reason for _, reason in failed))
-    result = fit_examples(examples, steps=steps, demosaic=demosaic, tick=tick)
+    failed = [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
+    try:
+        result = fit_examples([_Lazy(pair) for pair in dataset.pairs], **options)
+    except InputError as error:
+        raise InputError("; ".join([str(error), *(reason for _, reason in failed)])) from None
     result.failed.extend(failed)
     return result

@@ -1,327 +1,232 @@
-"""Fit a camera's tone, colour, denoising and sharpening to RAW+JPEG pairs by gradient descent.
+"""Fit a camera's tone, colour, denoising and sharpening to RAW+JPEG pairs.
 
-The RAW is white-balanced and demosaicked once; what follows is differentiable, with the shift and
-scale between the two pictures among the parameters. Half the picture, in a checkerboard of tiles,
-is fitted; every held-out figure comes from the other half.
+The RAW is white-balanced and demosaicked; what follows is rendered on tiles, with the shift and scale
+between the two pictures among the parameters, and fitted by Gauss-Newton steps on a robust distance.
+Half the picture, in a checkerboard of tiles, is fitted; every held-out figure comes from the other half.
 """
 
-import dataclasses
-import functools
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
 
-from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
 from jaxisp.errors import InputError
 from jaxisp.fit import model
-from jaxisp.fit.align import Alignment, covered, estimate, same_scene, warp
-from jaxisp.io import Jpeg, Raw
-from jaxisp.losses import border_mask, clip_mask, luma_chroma_loss
-from jaxisp.metrics import psnr, ssim_map
-from jaxisp.params import to_bounded, to_unbounded
-from jaxisp.pipeline import Chain, Params, run
+from jaxisp.fit.align import Alignment
+from jaxisp.fit.curvature import standard_errors
+from jaxisp.fit.evaluate import evaluate
+from jaxisp.fit.journal import Journal, fingerprint
+from jaxisp.fit.result import FitResult, PairResult
+from jaxisp.fit.search import Options, Outcome, Search, Tick
+from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
+from jaxisp.fit.tiles import FROM_FILE, HOW, TILES, Example, Shot, prepare
+from jaxisp.params import specs
+from jaxisp.pipeline import Params
 from jaxisp.recipe import Recipe
-from jaxisp.stages.balance import ColorMatrix
-from jaxisp.stages.optics import Exposure
-from jaxisp.stages.tone import Gamma, ZoneCurve
-from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
+from jaxisp.stages import STAGES
 
-TILE = 64
-BORDER = 8
-RATE = 0.1
-FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
-HOW = f"a checkerboard of {TILE}x{TILE} tiles: half are fitted, the other half reported"
+STEPS = 30
+_MOST_TILES = 32  # of one pair
+_MOST_CHUNKS = 12  # of all pairs together; each pair has at least one
 
-Tick = Callable[[int, int, str], Any]
-
-
-@dataclasses.dataclass(frozen=True)
-class Example:
-    """One pair as it was read: a RAW and the picture (H, W, 3) that the camera made of it, encoded sRGB
-    in [0, 1], lying as the RAW does; `jpeg` is the file it was decoded from, where there is one."""
-
-    name: str
-    raw: Raw
-    picture: np.ndarray
-    jpeg: Jpeg | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Shot:
-    """One pair, ready to be fitted.
-
-    `camera_rgb` (H, W, 3) is the demosaicked RAW, `target` (H', W', 3) the camera's own picture in
-    encoded sRGB; `alignment` lays the first on the second.
-    """
-
-    name: str
-    camera_rgb: np.ndarray
-    target: np.ndarray
-    alignment: Alignment
-    fitted: np.ndarray
-    held_out: np.ndarray
-    jpeg: Jpeg | None
-
-
-@dataclasses.dataclass(frozen=True)
-class PairResult:
-    """Figures of one pair, of the fitted and of the held-out tiles. `shift` moves the RAW onto the JPEG."""
-
-    name: str
-    psnr: float
-    ssim: float
-    held_out_psnr: float
-    held_out_ssim: float
-    shift: tuple[float, float]
-    start: np.ndarray = dataclasses.field(repr=False)
-    render: np.ndarray = dataclasses.field(repr=False)
-    target: np.ndarray = dataclasses.field(repr=False)
-
-
-@dataclasses.dataclass(frozen=True)
-class FitResult:
-    """A fitted camera, how well it does, and the loss at each step."""
-
-    camera: Recipe
-    pairs: list[PairResult]
-    losses: np.ndarray
-    seconds: float
-    how: str = HOW
-    failed: list[tuple[str, str]] = dataclasses.field(default_factory=list)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The figures, as `jaxisp fit --json` prints them."""
-        pairs = [
-            {
-                "name": p.name,
-                "psnr": p.psnr,
-                "ssim": p.ssim,
-                "held_out_psnr": p.held_out_psnr,
-                "held_out_ssim": p.held_out_ssim,
-                "shift_px": list(p.shift),
-            }
-            for p in self.pairs
-        ]
-        return {
-            "pairs": pairs,
-            "held_out": {
-                "psnr": float(np.mean([p.held_out_psnr for p in self.pairs])),
-                "ssim": float(np.mean([p.held_out_ssim for p in self.pairs])),
-                "how": self.how,
-            },
-            "seconds": round(self.seconds, 2),
-            "failed": [{"file": name, "reason": reason} for name, reason in self.failed],
-        }
-
-
-def prepare(example: Example, demosaic: str) -> Shot:
-    """Demosaick a RAW, align it with the camera's picture, and split the picture into tiles.
-
-    Raises:
-        InputError: the two do not show the same scene.
-    """
-    camera_rgb = _camera_rgb(example.raw, demosaic)
-    target = example.picture
-    bright = np.percentile(camera_rgb, 99)
-    guess = np.asarray(srgb_oetf(jnp.clip(camera_rgb / max(bright, 1e-6), 0, 1)))
-    alignment = estimate(target, guess)
-    if not same_scene(alignment, target.shape):
-        raise InputError(
-            f"{example.name}: the RAW and the JPEG do not show the same scene "
-            f"(correlation {float(alignment.correlation):.2f} after alignment)"
-        )
-    inside = np.asarray(
-        covered(alignment, camera_rgb.shape, target.shape) & border_mask(target.shape, BORDER)
-    )
-    unclipped = np.asarray(clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
-    y, x = np.indices(target.shape[:2])
-    even = (y // TILE + x // TILE) % 2 == 0
-    fitted, held_out = inside & unclipped & even, inside & ~even
-    if not fitted.any() or not held_out.any():
-        raise InputError(
-            f"{example.name}: nothing to fit: pictures are smaller than two tiles, or all clipped"
-        )
-    return Shot(example.name, camera_rgb, target, alignment, fitted, held_out, example.jpeg)
-
-
-def _camera_rgb(raw: Raw, demosaic: str) -> np.ndarray:
-    chain = model.head(raw.cfa, demosaic)
-    params = params_for(Recipe(chain, chain.init(), meta=FROM_FILE), raw)
-    return np.asarray(run(chain, params, jnp.asarray(shaded_mosaic(raw))))
-
-
-def fit_shots(
-    shots: Sequence[Shot], *, steps: int = 250, tick: Tick = lambda done, total, text: None
-) -> tuple[Params, list[Alignment], np.ndarray]:
-    """Fit one set of parameters to all shots, and each shot's alignment.
-
-    Returns:
-        the parameters of `model.tail()`, the refined alignments, and (steps,) losses.
-    """
-    chain = model.tail()
-    optimizer = _optimizer(steps)
-    variables = (to_unbounded(start(chain, shots)), jnp.stack([_geometry(s.alignment) for s in shots]))
-    state = optimizer.init(variables)
-    losses = np.zeros(steps)
-    for step in range(steps):
-        which = step % len(shots)
-        shot = shots[which]
-        variables, state, loss = _update(
-            optimizer, chain, variables, state, which, shot.camera_rgb, shot.target, shot.fitted
-        )
-        losses[step] = float(loss)
-        if not np.isfinite(losses[step]):
-            raise FloatingPointError(f"fit: the loss became {losses[step]} at step {step}")
-        tick(step + 1, steps, f"loss {losses[step]:.5f}")
-    params, places = variables
-    return to_bounded(params), [_alignment(np.asarray(place)) for place in places], losses
-
-
-def start(chain: Chain, shots: Sequence[Shot]) -> Params:
-    """Where the fit begins: exposure and colour matrix by least squares in linear light."""
-    params = chain.init()
-    pixels = [_blurred_pixels(shot) for shot in shots]
-    source, wanted = (np.concatenate(parts) for parts in zip(*pixels))
-    gain = float(np.clip(wanted.sum() / max(source.sum(), 1e-9), 2.0**-6, 2.0**6))
-    matrix = np.linalg.lstsq(gain * source, wanted, rcond=None)[0].T
-    matrix = np.clip(matrix, -3.9, 3.9).astype(np.float32)
-    return params | {
-        "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),
-        "color_matrix": ColorMatrix(matrix=matrix),
-        "gamma_compression": Gamma(gamma=np.float32(1)),
-        "zone_curve": ZoneCurve(offsets=np.zeros(model.ZONES, np.float32)),
-    }
-
-
-def _blurred_pixels(shot: Shot, block: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Means of 8x8 blocks of fitted pixels, source and wanted, in linear light: free of noise and detail."""
-    source = np.asarray(warp(jnp.asarray(shot.camera_rgb), shot.alignment, shot.target.shape))
-    wanted = np.asarray(srgb_eotf(jnp.asarray(shot.target)))
-    h, w = (n // block * block for n in wanted.shape[:2])
-
-    def means(a: np.ndarray) -> np.ndarray:
-        return (
-            a[:h, :w].reshape(h // block, block, w // block, block, -1).mean((1, 3)).reshape(-1, a.shape[-1])
-        )
-
-    whole = means(shot.fitted[..., None].astype(float))[:, 0] == 1
-    return means(source)[whole], means(wanted)[whole]
-
-
-def evaluate(params: Params, shot: Shot, alignment: Alignment) -> PairResult:
-    """Render a shot, its file's JPEG tables included, and measure its fitted and its held-out tiles."""
-    chain, tables = model.with_jpeg(model.tail(), shot.jpeg)
-    first = start(model.tail(), [shot]) | tables
-    before = _render(chain, first, _geometry(shot.alignment), shot.camera_rgb, shot.target)
-    render = _render(chain, params | tables, _geometry(alignment), shot.camera_rgb, shot.target)
-    target = jnp.asarray(shot.target)
-    similarity = np.asarray(ssim_map(render, target)).mean(-1)
-
-    def figures(mask: np.ndarray) -> tuple[float, float]:
-        return float(psnr(render, target, mask=jnp.asarray(mask))), float(similarity[mask].mean())
-
-    shift = (-float(alignment.dy), -float(alignment.dx))
-    pictures = (np.asarray(before), np.asarray(render), shot.target)
-    return PairResult(shot.name, *figures(shot.fitted), *figures(shot.held_out), shift, *pictures)
-
-
-def _geometry(alignment: Alignment) -> jax.Array:
-    """(dy, dx, scale_y, scale_x): the four numbers of an alignment that the gradient moves."""
-    return jnp.asarray([alignment.dy, alignment.dx, alignment.scale_y, alignment.scale_x], jnp.float32)
-
-
-def _alignment(place: Any) -> Alignment:
-    return Alignment(place[0], place[1], place[2], place[3])
-
-
-@functools.cache
-def _optimizer(steps: int) -> optax.GradientTransformation:
-    schedule = optax.cosine_decay_schedule(RATE, steps, alpha=0.02)
-    # a step of 1 in a shift is a pixel, in a scale it is the whole picture
-    moves = jnp.asarray([1.0, 1.0, 1e-3, 1e-3])
-    scale_geometry = optax.stateless(lambda updates, _: (updates[0], updates[1] * moves))
-    return optax.chain(optax.adam(schedule), scale_geometry)
-
-
-def _forward(
-    chain: Chain, params: Params, place: jax.Array, camera_rgb: jax.Array, shape: tuple[int, ...]
-) -> Any:
-    return chain(params, warp(camera_rgb, _alignment(place), shape))
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _render(
-    chain: Chain, params: Params, place: jax.Array, camera_rgb: jax.Array, target: jax.Array
-) -> jax.Array:
-    return jnp.clip(_forward(chain, params, place, camera_rgb, target.shape), 0, 1)
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _update(
-    optimizer: Any,
-    chain: Chain,
-    variables: Any,
-    state: Any,
-    which: Any,
-    camera_rgb: jax.Array,
-    target: jax.Array,
-    mask: jax.Array,
-) -> Any:
-    """One step on shot `which`: the camera's parameters and that shot's place move."""
-
-    def loss(variables: Any) -> jax.Array:
-        params, places = variables
-        render = _forward(chain, to_bounded(params), places[which], camera_rgb, target.shape)
-        return luma_chroma_loss(render, target, mask)
-
-    value, grads = jax.value_and_grad(loss)(variables)
-    updates, state = optimizer.update(grads, state, variables)
-    return optax.apply_updates(variables, updates), state, value
+Given = Example | Callable[[], Example]
 
 
 def fit_examples(
-    examples: Sequence[Example],
+    examples: Sequence[Given],
     *,
-    steps: int = 250,
-    demosaic: str = "demosaic_ahd",
+    steps: int = STEPS,
+    demosaic: str = "auto",
+    median: str = "auto",
+    place: str = "camera",
+    per_image: Sequence[str] = (),
+    fixed: Sequence[str] = FIXED_NAMES,
+    journal: str | Path | None = None,
     tick: Tick = lambda done, total, text: None,
 ) -> FitResult:
     """Fit one camera to RAW+JPEG pairs.
 
     Args:
-        examples: the pairs; all of one camera.
-        steps: gradient steps in all.
-        demosaic: the demosaicking stage.
+        examples: the pairs, all of one camera; or functions that load them, called when they are needed,
+            so that many large pairs need not be in memory at once.
+        steps: most Gauss-Newton steps of each phase.
+        demosaic: the demosaicking stage; "auto" tries all.
+        median: footprint of the median filter ("cross", "3x3", "5x5"), "none", or "auto".
+        place: where denoising is: "camera" RGB or "encoded" RGB.
+        per_image: parameters that each image has of its own: stages, `stage.field`s, "tone", "colour".
+            The camera gets their mean.
+        fixed: parameters that stay where they start.
+        journal: a file for what is done, from which a stopped fit goes on; removed when the fit is done.
         tick: called with (done, total, text).
 
     Returns:
-        the camera, with the figures of each pair; pairs that cannot be fitted are in `failed`.
+        the camera, with the figures of each pair; pairs that cannot be fitted are in `failed`, and those
+        that no global camera can have made have `flags`.
 
     Raises:
-        InputError: no pair can be fitted.
+        InputError: no pair can be fitted, or there is no such choice.
     """
     clock = time.perf_counter()
+    options = Options(steps, demosaic, median, place, tuple(per_image), tuple(fixed))
+    _check(options)
+    shots, failed = _prepared(examples, tick)
+    book = Journal.open(journal, fingerprint(options, *_contents([s for _, s in shots])))
+    search = Search([s for _, s in shots], options, book, tick)
+    outcome = search.run()
+    pairs = _measured(outcome, shots)
+    bad = [i for i, pair in enumerate(pairs) if pair.flags]
+    if len(bad) == len(pairs):
+        raise InputError("; ".join(f"{p.name}: {', '.join(p.flags)}" for p in pairs))
+    if bad:  # what no camera made must not pull on the camera
+        failed += [(pairs[i].name, f"{pairs[i].name}: left out: {', '.join(pairs[i].flags)}") for i in bad]
+        shots = [s for i, s in enumerate(shots) if i not in bad]
+        search = Search([s for _, s in shots], options, Journal.open(None, ""), tick)
+        outcome = search.finish(outcome.design, _without(outcome, bad), "without flagged pairs")
+        pairs = _measured(outcome, shots)
+    result = _result(outcome, [s for _, s in shots], pairs, time.perf_counter() - clock, failed, book.resumed)
+    book.remove()
+    return result
+
+
+def _check(options: Options) -> None:
+    demosaickers = [name for name in STAGES if name.startswith("demosaic_")]
+    known = {
+        "demosaicker": (options.demosaic, ["auto", *demosaickers]),
+        "median": (options.median, ["auto", "none", *(m for m in model.MEDIANS if m)]),
+        "place of denoising": (options.place, list(model.PLACES)),
+    }
+    for what, (given, names) in known.items():
+        if given not in names:
+            raise InputError(f"{given!r} is no {what}; there are {', '.join(names)}")
+
+
+def _prepared(
+    examples: Sequence[Given], tick: Tick
+) -> tuple[list[tuple[Given, Shot]], list[tuple[str, str]]]:
     shots, failed = [], []
-    for example in examples:
+    most = min(_MOST_TILES, TILES * max(1, _MOST_CHUNKS // max(len(examples), 1)))
+    for index, example in enumerate(examples):
+        tick(0, 1, f"aligning {index + 1} of {len(examples)}")
+        name = getattr(example, "name", f"pair {index + 1}")
         try:
-            shots.append(prepare(example, demosaic))
+            loaded = example() if callable(example) else example
+            name = loaded.name
+            shots.append((example, prepare(loaded, most)))
         except InputError as error:
-            failed.append((example.name, str(error)))
+            failed.append((name, str(error)))
     if not shots:
         raise InputError("; ".join(reason for _, reason in failed) or "no RAW+JPEG pair to fit")
-    params, alignments, losses = fit_shots(shots, steps=steps, tick=tick)
-    pairs = [evaluate(params, s, a) for s, a in zip(shots, alignments)]
-    camera = _camera(params, shots, examples[0].raw.cfa, demosaic)
-    return FitResult(camera, pairs, losses, time.perf_counter() - clock, failed=failed)
+    return shots, failed
 
 
-def _camera(params: Params, shots: Sequence[Shot], cfa: str, demosaic: str) -> Recipe:
-    whole, tables = model.with_jpeg(model.camera(cfa, demosaic), shots[0].jpeg)
-    prior = whole.init() | jax.tree.map(np.asarray, params) | tables
-    meta = {**FROM_FILE, "fitted_to": [s.name for s in shots], "held_out": HOW}
-    return Recipe(whole, prior, "fitted to RAW+JPEG pairs", meta)
+def _contents(shots: Sequence[Shot]) -> list[Any]:
+    """What tells one fit from another: names and pixels."""
+    return [part for s in shots for part in (s.name, *(a for c in s.chunks for a in (c.source, c.target)))]
+
+
+def _measured(outcome: Outcome, shots: Sequence[tuple[Given, Shot]]) -> list[PairResult]:
+    pairs = []
+    for i, (example, shot) in enumerate(shots):
+        loaded = example() if callable(example) else example
+        where = _moved(shot.alignment, outcome.state.places[i])
+        pairs.append(evaluate(outcome.design, outcome.start, _params(outcome, i), shot, where, loaded))
+    return pairs
+
+
+def _moved(alignment: Alignment, place: np.ndarray) -> Alignment:
+    return Alignment(
+        float(alignment.dy) + place[0],
+        float(alignment.dx) + place[1],
+        float(alignment.scale_y) + 1e-3 * place[2],
+        float(alignment.scale_x) + 1e-3 * place[3],
+        alignment.correlation,
+    )
+
+
+def _params(outcome: Outcome, pair: int) -> Params:
+    """The bounded parameters of one image."""
+    layout, state = outcome.fit.problem.layout, outcome.state
+    found = layout.params(outcome.fit.fixed, state.camera, state.images[pair])
+    return {
+        stage: type(v)(**{f: np.asarray(getattr(v, f), np.float32) for f in specs(type(v))})
+        for stage, v in found.items()
+    }
+
+
+def _without(outcome: Outcome, bad: Sequence[int]) -> Any:
+    state = outcome.state
+
+    def kept(values: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        return tuple(v for i, v in enumerate(values) if i not in bad)
+
+    return type(state)(state.camera, kept(state.images), kept(state.places))
+
+
+def _result(
+    outcome: Outcome,
+    shots: Sequence[Shot],
+    pairs: list[PairResult],
+    seconds: float,
+    failed: list[tuple[str, str]],
+    resumed: bool,
+) -> FitResult:
+    each = [canonical(_params(outcome, i)) for i in range(len(shots))]
+    params = each[0] if len(each) == 1 or not outcome.fit.problem.layout.size(IMAGE) else mean_of(each)
+    identified = standard_errors(outcome.fit, outcome.state, outcome.fit.equations(outcome.state))
+    unused = set(params) - set(model.fitted(outcome.design).init())
+    identified = [p for p in identified if p.name.split(".")[0] not in unused]
+    own = {
+        shot.name: {
+            s: {f: np.asarray(getattr(values[s], f)).tolist() for f in specs(type(values[s]))}
+            for s in dict.fromkeys(stage for stage, _ in outcome.fit.problem.layout.names[IMAGE])
+        }
+        for shot, values in zip(shots, each)
+    }
+    unknown = [p.name for p in identified if not p.known]
+    camera = _camera(params, outcome, shots, unknown)
+    return FitResult(
+        camera,
+        pairs,
+        np.asarray(outcome.losses),
+        seconds,
+        HOW,
+        failed,
+        outcome.design.text,
+        outcome.tried,
+        identified,
+        _at_bound(camera),
+        own if outcome.fit.problem.layout.size(IMAGE) else {},
+        resumed,
+    )
+
+
+def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: list[str]) -> Recipe:
+    whole, tables = model.with_jpeg(model.camera(shots[0].cfa, outcome.design), shots[0].jpeg)
+    own = {name: values for name, values in params.items() if name in whole.init()}
+    meta = {
+        **FROM_FILE,
+        "fitted_to": [s.name for s in shots],
+        "held_out": HOW,
+        "design": outcome.design.text,
+        "not_identified": unknown,
+    }
+    noise = [s.raw_noise for s in shots if s.raw_noise is not None]
+    if noise:
+        meta["raw_noise"] = {"shot": [n[0] for n in noise], "read": [n[1] for n in noise]}
+    return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
+
+
+def _at_bound(camera: Recipe) -> list[str]:
+    """stage.field of what ended within 0.1 % of the range of a bound and is fitted."""
+    found = []
+    for stage, values in camera.prior.items():
+        if stage in model.SET_FROM_FILE:
+            continue
+        for field, spec in specs(type(values)).items():
+            value, (low, high) = np.asarray(getattr(values, field)), spec.bounds
+            near = 1e-3 * (high - low)
+            if f"{stage}.{field}" not in FIXED_NAMES and ((value - low < near) | (high - value < near)).any():
+                found.append(f"{stage}.{field}")
+    return found

@@ -1,44 +1,140 @@
-"""The camera that is fitted: what is computed once for a RAW, and what the gradient moves."""
+"""The camera that is fitted: its stages, the discrete choices among them, and where each fit starts."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 
 from jaxisp.io import Jpeg
-from jaxisp.pipeline import Chain, Params, stage
+from jaxisp.pipeline import Chain, Params, Stage, stage
+from jaxisp.stages.balance import ColorMatrix, Saturation
+from jaxisp.stages.denoise.bilateral import Bilateral
+from jaxisp.stages.denoise.median import Median
+from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import JpegTables
+from jaxisp.stages.optics import Exposure, Vignetting
+from jaxisp.stages.tone import Gamma, SCurve, ZoneCurve
 
 ZONES = 7
-"""Control points of the tone curve, beside a gamma for its overall bend."""
+"""Control points of the tone curve, beside a gamma and an s-curve for its overall bend."""
+
+DEMOSAICKERS = (
+    "demosaic_malvar",
+    "demosaic_ahd",
+    "demosaic_menon",
+    "demosaic_hibbard",
+    "demosaic_bilinear",
+)
+MEDIANS = (None, "cross", "3x3", "5x5")
+PLACES = ("camera", "encoded")
+
+SET_FROM_FILE = ("mosaic_white_balance", "jpeg_tables")
+"""Stages whose parameters are read, not fitted."""
 
 
-def head(cfa: str, demosaic: str) -> Chain:
-    """Mosaic to camera RGB: nothing in it is fitted, so it runs once a picture."""
-    nodes = (stage("mosaic_white_balance", cfa=cfa), stage("clip"), stage(demosaic, cfa=cfa))
-    return Chain(nodes, "raw_to_camera_rgb")
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """The discrete choices.
+
+    Args:
+        demosaic: the demosaicking stage.
+        passes: of the colour-difference median after it.
+        median: footprint of the median filter, or None for no such stage.
+        place: where denoising is: on square roots of "camera" RGB, where shot noise is even, or on
+            "encoded" sRGB, after colour.
+    """
+
+    demosaic: str = DEMOSAICKERS[0]
+    passes: int = 0
+    median: str | None = None
+    place: str = PLACES[0]
+
+    @property
+    def text(self) -> str:
+        passes = f" + {self.passes} colour-difference medians" if self.passes else ""
+        median = f", median {self.median}" if self.median else ""
+        return f"{self.demosaic.removeprefix('demosaic_')}{passes}{median}, denoised in {self.place} RGB"
 
 
-def tail() -> Chain:
-    """Camera RGB to encoded sRGB: exposure and colour, denoising in encoded light as phones do it,
-    tone, saturation, sharpening, 8 bits."""
-    names = (
-        "exposure",
-        "color_matrix",
-        "srgb_oetf",
-        "bilateral",
-        "median",
-        "gamma_compression",
-        "zone_curve",
-        "saturation",
-        "unsharp_mask",
-        "rounding",
+def head(cfa: str, design: Design) -> Chain:
+    """Mosaic to camera RGB: nothing in it is fitted by gradient, so it runs once a picture."""
+    nodes: list[Stage] = [
+        stage("mosaic_white_balance", cfa=cfa),
+        stage("clip"),
+        stage(design.demosaic, cfa=cfa),
+    ]
+    if design.passes:
+        nodes.append(stage("color_difference_median", passes=design.passes))
+    return Chain(tuple(nodes), "raw_to_camera_rgb")
+
+
+def front(design: Design) -> Chain:
+    """Camera RGB up to and with denoising; what follows it is `back`."""
+    before, after = around_median(design.place)
+    median = (stage("median", footprint=design.median),) if design.median else ()
+    return Chain((*before.nodes, *median, *after.nodes), "front")
+
+
+def around_median(place: str) -> tuple[Chain, Chain]:
+    """What stands before and after the median filter in `front`: the fit chooses its size while it runs."""
+    if place == "encoded":
+        return Chain((*_color(), _bilateral()), "before"), Chain((), "after")
+    rooted = stage("gamma_compression", name="denoise_encoding")
+    linear = stage("gamma_expansion", name="denoise_decoding")
+    return Chain((rooted, _bilateral()), "before"), Chain((linear,), "after")
+
+
+def back(place: str) -> Chain:
+    """What follows denoising: colour where it is not in front, tone, saturation, sharpening."""
+    tone = (
+        stage("gamma_compression"),
+        stage("s_curve"),
+        stage("zone_curve", on="channels"),
+        stage("saturation"),
+        stage("unsharp_mask", radius=6),
     )
-    options: dict[str, dict[str, Any]] = {
-        "median": {"footprint": "cross"},
-        "zone_curve": {"on": "channels"},
-        "unsharp_mask": {"radius": 6},
+    return Chain((*(() if place == "encoded" else _color()), *tone), "back")
+
+
+def _bilateral() -> Stage:
+    return stage("bilateral", chroma_radius=8)  # phones smooth chroma widely
+
+
+def _color() -> tuple[Stage, ...]:
+    return stage("exposure"), stage("color_matrix"), stage("srgb_oetf")
+
+
+def fitted(design: Design) -> Chain:
+    """All that the fit moves: camera RGB to encoded sRGB, before rounding and the encoder."""
+    return Chain(
+        (stage("vignetting"), *front(design).nodes, *back(design.place).nodes), "camera_rgb_to_picture"
+    )
+
+
+def camera(cfa: str, design: Design) -> Chain:
+    """The whole: `jaxisp.camera.develop` runs it on a RAW."""
+    return Chain((*head(cfa, design).nodes, *fitted(design).nodes, stage("rounding")), "fitted")
+
+
+def start() -> Params:
+    """Where a fit begins, before exposure and colour are set: mild denoising and sharpening, no bend.
+
+    It holds the parameters of every design.
+    """
+    return {
+        "vignetting": Vignetting(),
+        "bilateral": Bilateral(luma_sigma_range=0.02, chroma_sigma_space=1.5, chroma_sigma_range=0.05),
+        "median": Median(strength=0.5),
+        "denoise_encoding": Gamma(gamma=2.0),
+        "denoise_decoding": Gamma(gamma=2.0),
+        "exposure": Exposure(exposure_ev=0.0),
+        "color_matrix": ColorMatrix(matrix=np.eye(3)),
+        "gamma_compression": Gamma(gamma=1.0),
+        "s_curve": SCurve(strength=0.0, midpoint=0.5),
+        "zone_curve": ZoneCurve(offsets=np.zeros(ZONES)),
+        "saturation": Saturation(amount=1.0),
+        "unsharp_mask": UnsharpMask(amount=0.3, sigma=1.2, threshold=0.0),
     }
-    return Chain(tuple(stage(name, **options.get(name, {})) for name in names), "camera_rgb_to_picture")
 
 
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:
@@ -48,10 +144,5 @@ def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:
         return chain, {}
     encoder = stage("jpeg_tables", subsampling=jpeg.subsampling)
     tables = [np.asarray(t, np.float32) for t in (jpeg.luma_table, jpeg.chroma_table)]
-    params = {encoder.name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
+    params: dict[str, Any] = {encoder.name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
     return Chain((*chain.nodes, encoder), chain.name), params
-
-
-def camera(cfa: str, demosaic: str) -> Chain:
-    """The whole: `jaxisp.camera.develop` runs it on a RAW."""
-    return Chain((*head(cfa, demosaic).nodes, *tail().nodes), "fitted")

@@ -9,13 +9,11 @@ import pytest
 from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.fit import fit_dataset, fit_examples, fitter, model
-from jaxisp.fit.align import Alignment
-from jaxisp.fit.fitter import Example, prepare
+from jaxisp.fit import Example, fit_dataset, fit_examples
 from jaxisp.fit.report import parameter_rows, write_report
-from jaxisp.io import open_dataset, orient
-from jaxisp.params import to_bounded, to_unbounded
-from jaxisp.pipeline import run
+from jaxisp.fit.tiles import prepare, split
+from jaxisp.generate import degrade_files
+from jaxisp.io import open_dataset, orient, write_png
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 
@@ -31,7 +29,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder):
-    return fit_dataset(folder, steps=150, demosaic="demosaic_malvar")
+    return fit_dataset(folder, steps=16, demosaic="demosaic_malvar", median="none")
 
 
 def psnr(a, b):
@@ -41,10 +39,10 @@ def psnr(a, b):
 def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     (pair,) = result.pairs
     before = psnr(pair.start[8:-8, 8:-8], pair.target[8:-8, 8:-8])
-    assert pair.held_out_psnr > before + 4
+    assert pair.held_out_psnr > before + 3  # the start is least squares in colour already
     assert abs(pair.held_out_psnr - pair.psnr) < 3
     assert np.abs(pair.shift).max() < 0.2
-    assert result.losses[-10:].mean() < 0.7 * result.losses[:5].mean()
+    assert result.losses[7] < 0.5 * result.losses[0]
 
 
 def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
@@ -57,15 +55,20 @@ def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
 
 
 def test_figures_are_of_disjoint_tiles(folder, result):
-    shot = prepare(example(folder), "demosaic_malvar")
-    assert not (shot.fitted & shot.held_out).any()
-    assert 0.3 < shot.fitted.mean() < 0.5 and 0.3 < shot.held_out.mean() < 0.5
+    given = example(folder)
+    shot = prepare(given)
+    masks = split(given.picture, shot.alignment, given.raw.mosaic.shape)
+    assert not (masks.fitted & masks.held_out).any()
+    assert 0.3 < masks.fitted.mean() < 0.5 and 0.3 < masks.held_out.mean() < 0.5
+    assert sum(c.mask.sum() for c in shot.chunks) == masks.fitted.sum()  # all of it, and nothing else
     (pair,) = result.pairs
-    inside = np.broadcast_to(shot.held_out[..., None], pair.target.shape)
+    inside = np.broadcast_to(masks.held_out[..., None], pair.target.shape)
     assert pair.held_out_psnr == pytest.approx(psnr(pair.render[inside], pair.target[inside]), abs=0.01)
     figures = result.as_dict()
     assert figures["held_out"]["psnr"] == pytest.approx(pair.held_out_psnr)
-    assert {"name", "psnr", "ssim", "held_out_psnr", "held_out_ssim", "shift_px"} == set(figures["pairs"][0])
+    needed = {"name", "psnr", "ssim", "held_out_psnr", "held_out_ssim", "shift_px"}
+    assert needed <= set(figures["pairs"][0])
+    json.dumps(figures, allow_nan=False)
 
 
 def example(folder) -> Example:
@@ -76,26 +79,129 @@ def example(folder) -> Example:
 def test_a_known_shift_is_found(folder):
     given = example(folder)
     moved = dataclasses.replace(given, picture=np.roll(given.picture, (2, -3), (0, 1)), jpeg=None)
-    shot = prepare(moved, "demosaic_bilinear")
+    shot = prepare(moved)
     assert shot.alignment.dy == pytest.approx(-2, abs=0.15)
     assert shot.alignment.dx == pytest.approx(3, abs=0.15)
 
 
-def test_the_fit_moves_towards_its_own_parameters(folder):
-    """The target is the model's own rendering with other parameters, so the residual must vanish."""
-    given = example(folder)
-    shot = prepare(given, "demosaic_bilinear")
-    chain = model.tail()
-    params = fitter.start(chain, [shot])
-    params["saturation"] = type(params["saturation"])(amount=np.float32(1.3))
-    params["unsharp_mask"] = dataclasses.replace(params["unsharp_mask"], amount=np.float32(1.0))
-    params = to_bounded(to_unbounded(params))
-    target = np.clip(np.asarray(run(chain, params, shot.camera_rgb)), 0, 1)
-    own = dataclasses.replace(shot, target=target, alignment=Alignment(), jpeg=None)
-    fitted, _, losses = fitter.fit_shots([own], steps=150)
-    assert losses[-5:].mean() < 0.1 * losses[:3].mean()
-    assert fitter.evaluate(fitted, own, Alignment()).held_out_psnr > 45
-    assert fitted["saturation"].amount == pytest.approx(1.3, abs=0.1)
+@pytest.fixture(scope="module")
+def own(folder, result):
+    """The target is the fitted model's own rendering with other, known parameters."""
+    given, camera = example(folder), result.camera
+    chain = camera.chain.without("jpeg_tables")
+    prior = {k: v for k, v in camera.prior.items() if k != "jpeg_tables"}
+    prior["saturation"] = dataclasses.replace(prior["saturation"], amount=np.float32(1.3))
+    prior["unsharp_mask"] = dataclasses.replace(prior["unsharp_mask"], amount=np.float32(1.0))
+    truth = Recipe(chain, prior, meta=camera.meta)
+    return truth, dataclasses.replace(given, picture=develop(given.raw, truth), jpeg=None)
+
+
+def test_known_parameters_are_recovered_and_unknown_ones_named(own):
+    truth, given = own
+    found = fit_examples([given], steps=14, demosaic="demosaic_malvar", median="none")
+    assert found.pairs[0].held_out_psnr > 45
+    for name in ("saturation.amount", "unsharp_mask.amount"):
+        stage, field = name.split(".")
+        wanted = float(getattr(truth.prior[stage], field))
+        assert float(getattr(found.camera.prior[stage], field)) == pytest.approx(wanted, rel=0.1)
+    errors = {p.name: p for p in found.identified}
+    assert errors["saturation.amount"].known
+    assert "vignetting.a4" in found.unidentified  # nothing in so small a picture tells it from a2
+    assert found.camera.meta["not_identified"] == found.unidentified
+
+
+def test_the_demosaicker_that_was_used_is_found(own):
+    _, given = own
+    found = fit_examples([given], steps=4, median="none")
+    assert found.design.startswith("malvar")
+    assert {text.split(",")[0] for text, _ in found.tried} >= {"ahd", "menon", "hibbard", "bilinear"}
+
+
+def test_a_stopped_fit_goes_on_where_it_was(own, tmp_path):
+    _, given = own
+    path, steps = tmp_path / "camera.toml.partial", []
+
+    def stop(done, total, text):
+        steps.append(done)
+        if done == 3:
+            raise KeyboardInterrupt
+
+    options = {"steps": 5, "demosaic": "demosaic_malvar", "median": "none"}
+    with pytest.raises(KeyboardInterrupt):
+        fit_examples([given], **options, journal=path, tick=stop)
+    assert path.exists()
+    again = []
+    resumed = fit_examples([given], **options, journal=path, tick=lambda done, *_: again.append(done))
+    whole = fit_examples([given], **options)
+    assert resumed.resumed and not whole.resumed and not path.exists()
+    assert max(again) < 9  # three of the ten were done
+    for name, values in whole.camera.prior.items():
+        for field, value in vars(values).items():
+            np.testing.assert_array_equal(getattr(resumed.camera.prior[name], field), value)
+    path.write_text("{broken")
+    assert not fit_examples([given], **options | {"steps": 1}, journal=path).resumed
+
+
+def test_each_image_can_have_its_own_exposure(own):
+    _, given = own
+    darker = dataclasses.replace(given, name="darker", picture=0.8 * given.picture)
+    options = {"steps": 6, "demosaic": "demosaic_malvar", "median": "none"}
+    both = fit_examples([given, darker], per_image=["tone", "exposure"], **options)
+    levels = [both.per_image[p.name]["exposure"]["exposure_ev"] for p in both.pairs]
+    assert levels[0] != levels[1]
+    assert min(p.held_out_psnr for p in both.pairs) > 35
+    with pytest.raises(InputError, match="no fitted parameter is named 'sharpness'"):
+        fit_examples([given], per_image=["sharpness"])
+
+
+def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path):
+    from jaxisp.fit import prior_from_cameras
+
+    result.camera.save(tmp_path / "camera.toml")
+    recipe = prior_from_cameras([tmp_path / "camera.toml", result.camera])
+    recipe.save(tmp_path / "prior.toml")
+    loaded = Recipe.load(tmp_path / "prior.toml")
+    assert loaded == recipe
+    clean = np.float32(scene("coffee", (48, 64))) ** (1 / 2.2)
+    write_png(tmp_path / "clean.png", clean)
+    assert degrade_files([tmp_path / "clean.png"], tmp_path / "out", loaded, count=2).images == 2
+    import jax
+
+    noisy, _, _ = loaded.degrade(jax.random.key(0), np.stack([clean] * 3))
+    noisy = np.asarray(noisy)
+    assert np.isfinite(noisy).all() and 15 < psnr(noisy[0], clean) < 45
+    assert (noisy[0] != noisy[1]).any()
+    with pytest.raises(InputError, match="at least one camera"):
+        prior_from_cameras([])
+
+
+@pytest.mark.parametrize("orientation", [2, 3])
+def test_a_mirrored_or_turned_picture_is_turned_back_and_said_so(own, orientation):
+    _, given = own
+    turned = dataclasses.replace(given, picture=orient(given.picture, orientation))
+    shot = prepare(turned)
+    assert shot.orientation == orientation
+    assert f"EXIF orientation {orientation}" in shot.notes[0] and "correlation" in shot.notes[0]
+
+
+def test_local_processing_is_refused_with_its_figure(own):
+    _, given = own
+    y, x = np.indices(given.picture.shape[:2])
+    gain = 1 + 0.35 * np.sin(y / 22) * np.cos(x / 27)
+    merged = dataclasses.replace(given, name="hdr", picture=np.clip(given.picture * gain[..., None], 0, 1))
+    options = {"steps": 4, "demosaic": "demosaic_malvar", "median": "none"}
+    with pytest.raises(InputError, match=r"hdr: .*brightness was changed locally.*levels off"):
+        fit_examples([merged], **options)
+    found = fit_examples([given, merged], **options)
+    assert [p.name for p in found.pairs] == ["astronaut"]
+    assert found.failed[0][0] == "hdr" and "left out" in found.failed[0][1]
+
+
+def test_unknown_choices_are_refused(own):
+    with pytest.raises(InputError, match="'demosaic_magic' is no demosaicker; there are auto, demosaic_"):
+        fit_examples([own[1]], demosaic="demosaic_magic")
+    with pytest.raises(InputError, match="'7x7' is no median"):
+        fit_examples([own[1]], median="7x7")
 
 
 def test_another_scene_is_refused_with_its_figure(folder):
@@ -112,11 +218,14 @@ def test_one_bad_pair_does_not_stop_the_others(tmp_path, capsys):
     (tmp_path / "broken.jpg").write_bytes((tmp_path / "astronaut.jpg").read_bytes())
     (tmp_path / "alone.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes())
     out = tmp_path / "out" / "camera.toml"
-    call = ["fit", str(tmp_path), "-o", str(out), "--steps", "2", "--demosaic", "demosaic_bilinear", "--json"]
+    call = ["fit", str(tmp_path), "-o", str(out), "--steps", "2", "--demosaic", "demosaic_bilinear"]
+    call += ["--median", "none", "--recipe", str(tmp_path / "prior.toml"), "--json"]
     assert main(call) == 2
     printed, errors = capsys.readouterr()
     assert [p["name"] for p in json.loads(printed)["pairs"]] == ["astronaut"]
     assert Recipe.load(out).name == "fitted"
+    assert not out.with_name("camera.toml.partial").exists()
+    assert Recipe.load(tmp_path / "prior.toml").chain.domain_out.name == "encoded sRGB"
     lines = errors.strip().splitlines()
     assert len(lines) == 2
     assert all(sum(f"{name}.dng" in line for line in lines) == 1 for name in ("broken", "alone"))

@@ -1,0 +1,120 @@
+"""A fitted pair measured on the tiles that were not fitted, and whether a global camera can have made it."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.fit import model, noise
+from jaxisp.fit.align import Alignment
+from jaxisp.fit.render import render, similarity
+from jaxisp.fit.result import PairResult
+from jaxisp.fit.tiles import Example, Shot, Split, balanced, demosaicked, split
+from jaxisp.io import orient
+from jaxisp.metrics import psnr
+from jaxisp.pipeline import Params
+
+SHOWN = 1024  # px of a side that are kept for reports
+PATCH = 32  # px of the tiles that local processing is looked for in
+MOST_TONE = 0.025  # level, rms of what is left in means of tiles
+MOST_BLURRED = 0.12  # share of detailed tiles whose detail is gone
+FEWEST_DB = 22.0  # held out
+
+
+def evaluate(
+    design: model.Design, start: Params, params: Params, shot: Shot, alignment: Alignment, example: Example
+) -> PairResult:
+    """Render a pair, its file's JPEG tables included, and measure its fitted and its held-out tiles."""
+    target = np.ascontiguousarray(orient(example.picture, shot.orientation))
+    camera_rgb = demosaicked(balanced(example.raw), shot.cfa, design)
+    masks = split(target, shot.alignment, camera_rgb.shape)
+
+    def picture(values: Params, where: Alignment) -> np.ndarray:
+        return render(design, values, camera_rgb, where, target.shape, shot.jpeg)
+
+    done = picture(params, alignment)
+    similar = similarity(done, target)
+    whole = alignment._replace(dy=float(np.rint(alignment.dy)), dx=float(np.rint(alignment.dx)))
+    result = PairResult(
+        shot.name,
+        _psnr(done, target, masks.fitted),
+        float(similar[masks.fitted].mean()),
+        _psnr(done, target, masks.held_out),
+        float(similar[masks.held_out].mean()),
+        (-float(alignment.dy), -float(alignment.dx)),
+        _middle(picture(start, shot.alignment)),
+        _middle(done),
+        _middle(target),
+        _noise(done, target, masks.held_out),
+        _psnr(picture(params, whole), target, masks.held_out),
+        notes=shot.notes,
+    )
+    return dataclasses.replace(result, flags=_flags(result, done, target, masks))
+
+
+def _psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
+    return float(psnr(jnp.asarray(a), jnp.asarray(b), mask=jnp.asarray(mask)))
+
+
+def _middle(image: np.ndarray) -> np.ndarray:
+    """A copy, so that a large picture can go."""
+    top, left = (max(n - SHOWN, 0) // 2 for n in image.shape[:2])
+    return image[top : top + SHOWN, left : left + SHOWN].copy()
+
+
+def _noise(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, object]:
+    h, w = (n // noise.BLOCK * noise.BLOCK for n in target.shape[:2])
+    done, target, mask = done[:h, :w], target[:h, :w], mask[:h, :w]
+    found = noise.regions(target, mask)
+    sums = [np.asarray(noise.moments(jnp.asarray(p), found.flat, found.edges)) for p in (done, target)]
+    return noise.report(sums[0], sums[1], found.levels)
+
+
+def _flags(pair: PairResult, done: np.ndarray, target: np.ndarray, masks: Split) -> tuple[str, ...]:
+    """What no pipeline with one setting for the whole picture does, each with the figure that shows it."""
+    tone, blurred = local_processing(done, target, masks.fitted | masks.held_out)
+    flags = []
+    if pair.held_out_psnr < FEWEST_DB:
+        flags.append(f"no camera fits: {pair.held_out_psnr:.1f} dB on held-out tiles (below {FEWEST_DB:g})")
+    if tone > MOST_TONE:
+        flags.append(
+            f"brightness was changed locally, as an HDR merge does: means of {PATCH} px tiles are left "
+            f"{tone:.3f} levels off (above {MOST_TONE:g})"
+        )
+    if blurred > MOST_BLURRED:
+        flags.append(
+            f"detail was removed locally, as a portrait blur does: gone from {100 * blurred:.0f} % of the "
+            f"detailed tiles (above {100 * MOST_BLURRED:g} %)"
+        )
+    return tuple(flags)
+
+
+def local_processing(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
+    """(rms of what is left in the means of tiles [level], share of detailed tiles that lost their detail)."""
+    luma = np.asarray([0.299, 0.587, 0.114], np.float32)
+    a, b = (_patches(picture @ luma) for picture in (done, target))
+    whole = _patches(mask).all(axis=(-2, -1))
+    if not whole.any():
+        return 0.0, 0.0
+    left = (b - a).mean(axis=(-2, -1))[whole]
+    tone = float(np.sqrt(np.mean((left - np.median(left)) ** 2)))
+    detail = [np.sqrt(np.mean(_high(p) ** 2, axis=(-2, -1)))[whole] for p in (a, b)]
+    detailed = detail[0] > max(float(np.quantile(detail[0], 0.7)) / 2, 0.006)  # not the noise of flat ones
+    if detailed.sum() < 8:
+        return tone, 0.0
+    ratio = detail[1][detailed] / detail[0][detailed]
+    return tone, float((ratio < 0.4 * np.quantile(ratio, 0.9)).mean())
+
+
+def _patches(plane: np.ndarray) -> np.ndarray:
+    h, w = (n // PATCH for n in plane.shape)
+    return plane[: h * PATCH, : w * PATCH].reshape(h, PATCH, w, PATCH).swapaxes(1, 2)
+
+
+def _high(patches: np.ndarray) -> np.ndarray:
+    """Second differences along both axes, on half the size: above the noise, below the blur."""
+    shape = (*patches.shape[:2], PATCH // 2, 2, PATCH // 2, 2)
+    small = patches.reshape(shape).mean(axis=(3, 5))
+    core = small[..., 1:-1, 1:-1]
+    around = small[..., :-2, 1:-1] + small[..., 2:, 1:-1] + small[..., 1:-1, :-2] + small[..., 1:-1, 2:]
+    return core - around / 4

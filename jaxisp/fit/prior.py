@@ -1,0 +1,132 @@
+"""What was fitted becomes what training data are drawn from: a recipe out of fitted cameras."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxisp.errors import InputError
+from jaxisp.params import Spec, map_specs, specs
+from jaxisp.pipeline import Chain, Node, Params, stage
+from jaxisp.priors import LogUniform, PowerUniform, Uniform
+from jaxisp.recipe import Recipe
+from jaxisp.stages.noise import ShotReadNoise
+from jaxisp.stages.optics import Exposure
+
+LEFT_OUT = (
+    "mosaic_white_balance",
+    "vignetting",
+    "exposure",
+    "color_matrix",
+    "srgb_oetf",
+    "gamma_compression",
+    "s_curve",
+    "zone_curve",
+    "saturation",
+    "rounding",
+)
+"""Tone and colour: a denoiser is to take away noise, not to undo a look, as in Jaroensri et al. 2019."""
+
+ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
+
+
+def prior_from_cameras(
+    cameras: Sequence[Recipe | str | Path], *, spread: float = 1.25, name: str = "fitted-prior"
+) -> Recipe:
+    """A recipe for training data: the noise, demosaicking, denoising, sharpening and JPEG of fitted cameras.
+
+    The photograph is brought to the level that the camera's RAW would have, gets the RAW's noise, and
+    goes through the camera's stages; tone and colour are left out. Each number is drawn from the range
+    that the cameras span, widened by `spread`. Choices that are no numbers (demosaicker, footprint,
+    JPEG tables) are those of the first camera.
+
+    Args:
+        cameras: recipes, or the CAMERA.toml files that `jaxisp fit` wrote.
+        spread: by which factor a range is widened on either side; on a linear scale, by this share less 1 of
+            the largest value.
+        name: of the recipe.
+
+    Returns:
+        A recipe from encoded sRGB to encoded sRGB, as `jaxisp degrade --recipe` takes it.
+
+    Raises:
+        InputError: no camera, or one that `jaxisp fit` did not make.
+    """
+    loaded = [c if isinstance(c, Recipe) else Recipe.load(c) for c in cameras]
+    if not loaded:
+        raise InputError("a prior needs at least one camera")
+    for camera in loaded:
+        if camera.chain.domain_in.name != "mosaic" or "exposure" not in camera.prior:
+            raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: it takes no mosaic")
+    first = loaded[0]
+    kept = [node for node in first.chain.nodes if node.name not in LEFT_OUT]
+    cfa = dict(next(s for s in first.chain.stages() if s.name.startswith("demosaic_")).options)["cfa"]
+    encoded = "denoise_encoding" not in first.prior
+    chain = Chain(tuple(_nodes(kept, str(cfa), encoded)), name)
+    ev = float(np.mean([float(c.prior["exposure"].exposure_ev) for c in loaded]))
+    prior: Params = {
+        "scene_exposure": Exposure(exposure_ev=-ev),
+        "exposure": Exposure(exposure_ev=ev),
+        "shot_read_noise": _noise(loaded, spread),
+    }
+    for node in kept:
+        if node.name.startswith("denoise_"):  # one undoes the other
+            prior[node.name] = first.prior[node.name]
+        elif node.name in first.prior and node.name != "jpeg_tables":
+            prior[node.name] = _spanned([c.prior[node.name] for c in loaded if node.name in c.prior], spread)
+    if "jpeg_tables" in first.prior:
+        prior["jpeg_tables"] = first.prior["jpeg_tables"]
+    text = f"noise and processing of {len(loaded)} fitted cameras, tone and colour left out"
+    return Recipe(chain, prior, text, {"cameras": [", ".join(c.meta.get("fitted_to", [])) for c in loaded]})
+
+
+def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:
+    """Decode, darken, mosaic, noise; the camera's own stages; encode, sharpen, 8 bits, JPEG."""
+    names = [node.name for node in kept]
+    split = names.index("unsharp_mask")
+    denoising = next((i for i, n in enumerate(names) if n == "bilateral"), split)
+    raw, denoise, output = kept[:denoising], kept[denoising:split], kept[split:]
+    if not encoded:
+        raw, denoise = kept[:split], []
+    start = [
+        stage("srgb_eotf"),
+        stage("exposure", name="scene_exposure"),
+        stage("mosaic", cfa=cfa),
+        stage("shot_read_noise"),
+    ]
+    sharpen, *jpeg = output
+    return [
+        *start, *raw, stage("exposure"), stage("clip", name="display_clip"), stage("srgb_oetf"),
+        *denoise, sharpen, stage("clip", name="output_clip"), stage("rounding"), *jpeg,
+    ]  # fmt: skip
+
+
+def _noise(cameras: Sequence[Recipe], spread: float) -> ShotReadNoise:
+    """The noise that the RAW files stated, or any where they did not; both numbers, widened."""
+    stated = [c.meta["raw_noise"] for c in cameras if "raw_noise" in c.meta]
+    if not stated:
+        return ANY_NOISE
+    found: dict[str, Any] = {}
+    for field, spec in specs(ShotReadNoise).items():
+        values = [max(float(v), 1e-7) for noise in stated for v in noise[field]]
+        found[field] = LogUniform(min(values) / spread, min(max(values) * spread, spec.bounds[1]))
+    return ShotReadNoise(**found)
+
+
+def _spanned(values: Sequence[Any], spread: float) -> Any:
+    """A prior over parameters of one stage: ranges for numbers, the first camera's for vectors and tables."""
+
+    def one(spec: Spec, *leaves: Any) -> Any:
+        numbers = np.asarray([np.asarray(leaf, float) for leaf in leaves])
+        low, high = float(numbers.min()), float(numbers.max())
+        if numbers.ndim > 1:
+            return np.asarray(leaves[0], np.float32)
+        if spec.scale == "log":
+            low, high = max(low / spread, spec.bounds[0]), min(high * spread, spec.bounds[1])
+            return LogUniform(low, high) if high > low else np.float32(low)
+        margin = (spread - 1) * max(abs(low), abs(high))
+        low, high = max(low - margin, spec.bounds[0]), min(high + margin, spec.bounds[1])
+        return Uniform(low, high) if high > low else np.float32(low)
+
+    return map_specs(one, values[0], *values[1:])

@@ -1,0 +1,110 @@
+"""What a fit gives: the camera, and its figures on what it did not see."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxisp.fit.curvature import Identified
+from jaxisp.fit.tiles import HOW
+from jaxisp.recipe import Recipe
+
+
+@dataclasses.dataclass(frozen=True)
+class PairResult:
+    """Figures of one pair, of the fitted and of the held-out tiles.
+
+    Args:
+        shift: moves the RAW onto the JPEG [px]: y, x.
+        noise: of held-out flat regions, and the detail at edges; pairs of numbers are (render, JPEG).
+        held_out_whole_shift: held-out PSNR with the shift rounded to whole pixels, which no interpolation
+            smooths [dB].
+        flags: what says that no global camera made this JPEG.
+        notes: what was done to the pair.
+        start, render, target: (H, W, 3), the middle of large pictures.
+    """
+
+    name: str
+    psnr: float
+    ssim: float
+    held_out_psnr: float
+    held_out_ssim: float
+    shift: tuple[float, float]
+    start: np.ndarray = dataclasses.field(repr=False)
+    render: np.ndarray = dataclasses.field(repr=False)
+    target: np.ndarray = dataclasses.field(repr=False)
+    noise: dict[str, Any] = dataclasses.field(default_factory=dict)
+    held_out_whole_shift: float = float("nan")
+    flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The figures, without the pictures."""
+        return {
+            "name": self.name,
+            "psnr": self.psnr,
+            "ssim": self.ssim,
+            "held_out_psnr": self.held_out_psnr,
+            "held_out_ssim": self.held_out_ssim,
+            "shift_px": list(self.shift),
+            "held_out_psnr_whole_shift": self.held_out_whole_shift,
+            "noise": self.noise,
+            "flags": list(self.flags),
+            "notes": list(self.notes),
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class FitResult:
+    """A fitted camera, how well it does, and the loss at each step.
+
+    Args:
+        camera: mosaic to encoded sRGB.
+        losses: objective at each Gauss-Newton step; each phase has its own scale.
+        design: the discrete choices in words, and what each one tried gave.
+        identified: each fitted number with its relative standard error.
+        at_bound: names of the parameters that ended at a bound.
+        per_image: by pair, the parameters that each image has of its own, by stage and field.
+        failed: pairs that could not be used, with the reason.
+    """
+
+    camera: Recipe
+    pairs: list[PairResult]
+    losses: np.ndarray
+    seconds: float
+    how: str = HOW
+    failed: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    design: str = ""
+    tried: list[tuple[str, float]] = dataclasses.field(default_factory=list)
+    identified: list[Identified] = dataclasses.field(default_factory=list)
+    at_bound: list[str] = dataclasses.field(default_factory=list)
+    per_image: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    resumed: bool = False
+
+    @property
+    def unidentified(self) -> list[str]:
+        """Names of the parameters that these pairs do not tell to 5 %."""
+        return [p.name for p in self.identified if not p.known]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The figures, as `jaxisp fit --json` prints them."""
+        return {
+            "pairs": [p.as_dict() for p in self.pairs],
+            "held_out": {
+                "psnr": float(np.mean([p.held_out_psnr for p in self.pairs])),
+                "ssim": float(np.mean([p.held_out_ssim for p in self.pairs])),
+                "how": self.how,
+            },
+            "seconds": round(self.seconds, 2),
+            "design": self.design,
+            "tried": [{"design": text, "objective": value} for text, value in self.tried],
+            "parameters": [
+                {"name": p.name, "value": p.value, "relative_error": p.error, "identified": p.known}
+                for p in self.identified
+            ],
+            "unidentified": self.unidentified,
+            "at_bound": self.at_bound,
+            "per_image": self.per_image,
+            "resumed": self.resumed,
+            "failed": [{"file": name, "reason": reason} for name, reason in self.failed],
+        }

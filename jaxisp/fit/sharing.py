@@ -1,0 +1,158 @@
+"""Which parameters one camera shares, which each image has of its own, and which stay: a tree of flags."""
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.errors import InputError
+from jaxisp.params import map_specs, specs, to_bounded, to_unbounded
+from jaxisp.pipeline import Params
+
+CAMERA, IMAGE, FIXED = "camera", "image", "fixed"
+
+FIXED_NAMES = (
+    "exposure",  # the colour matrix holds the scale; see `canonical`
+    "vignetting.a6",
+    "denoise_encoding",
+    "denoise_decoding",
+    "unsharp_mask.threshold",
+)
+"""What stays where it starts unless it is asked for."""
+
+GROUPS = {
+    "tone": ("gamma_compression", "s_curve", "zone_curve"),
+    "colour": ("color_matrix", "saturation"),
+}
+"""Names that stand for several stages."""
+
+
+def sharing(params: Params, per_image: Iterable[str] = (), fixed: Iterable[str] = FIXED_NAMES) -> Params:
+    """The flags of a parameter tree: a tree of the same shape whose leaves are "camera", "image" or "fixed".
+
+    Args:
+        params: the parameters.
+        per_image: stages, `stage.field`s or groups ("tone", "colour") that each image has of its own.
+        fixed: what is not fitted; what is per image is.
+
+    Raises:
+        InputError: no such stage or field.
+    """
+    flags = map_specs(lambda spec, _: CAMERA, params)
+    own = _expanded(per_image, params, strict=True)
+    kept = _expanded(fixed, params, strict=False) - own
+    for flag, names in ((FIXED, kept), (IMAGE, own)):
+        for stage, field in names:
+            flags[stage] = dataclasses.replace(flags[stage], **{field: flag})
+    return flags
+
+
+def _expanded(names: Iterable[str], params: Params, strict: bool) -> set[tuple[str, str]]:
+    found = set()
+    for name in names:
+        for part in GROUPS.get(name, (name,)):
+            stage, _, field = part.partition(".")
+            fields = list(specs(type(params[stage]))) if stage in params else []
+            wanted = [field] if field else fields
+            if strict and (not fields or not set(wanted) <= set(fields)):
+                known = ", ".join([*GROUPS, *params])
+                raise InputError(f"no fitted parameter is named {name!r}; there are {known}")
+            found |= {(stage, f) for f in wanted if f in fields}
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """How the fitted leaves lie in two vectors, the camera's and an image's. Hashable: a static argument.
+
+    Args:
+        leaves: (stage, field, flag, shape) of all leaves, in order.
+    """
+
+    leaves: tuple[tuple[str, str, str, tuple[int, ...]], ...]
+
+    @classmethod
+    def of(cls, params: Params, flags: Params) -> "Layout":
+        return cls(
+            tuple(
+                (stage, field, getattr(flags[stage], field), np.shape(getattr(values, field)))
+                for stage, values in params.items()
+                for field in specs(type(values))
+            )
+        )
+
+    @functools.cached_property
+    def names(self) -> dict[str, tuple[tuple[str, str], ...]]:
+        """By flag: (stage, field[index]) of each element of the vector."""
+        return {
+            flag: tuple(
+                (stage, field + (f"[{', '.join(map(str, index))}]" if shape else ""))
+                for stage, field, own, shape in self.leaves
+                if own == flag
+                for index in np.ndindex(shape)
+            )
+            for flag in (CAMERA, IMAGE, FIXED)
+        }
+
+    def size(self, flag: str) -> int:
+        return len(self.names[flag])
+
+    def vector(self, params: Params, flag: str) -> np.ndarray:
+        """The leaves of that flag on the real line, in a row."""
+        free = to_unbounded(params)
+        parts = [np.ravel(getattr(free[s], f)) for s, f, own, _ in self.leaves if own == flag]
+        return np.concatenate([np.zeros(0), *parts]).astype(np.float64)
+
+    def params(self, fixed: Params, camera: Any, image: Any) -> Params:
+        """Bounded parameters out of the two vectors; what is fixed is taken from `fixed`. May be traced."""
+        at, vectors = {CAMERA: 0, IMAGE: 0}, {CAMERA: camera, IMAGE: image}
+        free: dict[str, dict[str, Any]] = {}
+        for stage, field, flag, shape in self.leaves:
+            value: Any = jnp.zeros(shape)
+            if flag != FIXED:
+                count = int(np.prod(shape))
+                value = jnp.reshape(vectors[flag][at[flag] : at[flag] + count], shape)
+                at[flag] += count
+            free.setdefault(stage, {})[field] = value
+        moved = to_bounded({stage: type(fixed[stage])(**fields) for stage, fields in free.items()})
+        held = {(s, f) for s, f, flag, _ in self.leaves if flag == FIXED}
+        return {
+            stage: type(values)(
+                **{f: getattr(fixed[stage] if (stage, f) in held else values, f) for f in specs(type(values))}
+            )
+            for stage, values in moved.items()
+        }
+
+
+def mean_of(values: Sequence[Params]) -> Params:
+    """The mean of several parameter trees, on the scale each parameter varies on."""
+    free = [to_unbounded(v) for v in values]
+    means = map_specs(lambda spec, *leaves: jnp.mean(jnp.stack(leaves), axis=0), free[0], *free[1:])
+    return {stage: _as_arrays(v) for stage, v in to_bounded(means).items()}
+
+
+def canonical(params: Params) -> Params:
+    """The same camera with the scale of the colour matrix moved into the exposure.
+
+    Exposure and matrix multiply: only their product shows. In the camera's file white keeps its
+    luminance in the matrix, so that the exposure says how bright the camera renders.
+    """
+    matrix = np.asarray(params["color_matrix"].matrix, np.float64)
+    gain = float(np.clip(matrix.sum(axis=1).mean(), 2.0**-6, 2.0**6))
+    ev = float(params["exposure"].exposure_ev) + np.log2(gain)
+    scaled = (matrix / gain).astype(np.float32)
+    low, high = specs(type(params["color_matrix"]))["matrix"].bounds
+    if not -8 <= ev <= 8 or scaled.min() < low or scaled.max() > high:
+        return params
+    exposure, color = params["exposure"], params["color_matrix"]
+    return params | {
+        "exposure": dataclasses.replace(exposure, exposure_ev=np.float32(ev)),
+        "color_matrix": dataclasses.replace(color, matrix=scaled),
+    }
+
+
+def _as_arrays(values: Any) -> Any:
+    return type(values)(**{f: np.asarray(getattr(values, f), np.float32) for f in specs(type(values))})

@@ -1,0 +1,261 @@
+"""Pairs made ready: aligned, split into tiles to fit and tiles to report, and the tiles that are fitted."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
+from jaxisp.color import LUMA_601
+from jaxisp.errors import InputError
+from jaxisp.fit import model, noise
+from jaxisp.fit.align import Alignment, best_orientation, covered, estimate, same_scene
+from jaxisp.io import Jpeg, Raw, orient
+from jaxisp.io.orientation import INVERSE
+from jaxisp.losses import border_mask, clip_mask
+from jaxisp.pipeline import Chain, run, run_batch, stage
+from jaxisp.recipe import Recipe
+from jaxisp.stages.transfer import srgb_oetf
+
+TILE = 64
+HALO = 16  # px around a tile that the filters see: bilateral 8, median 2, unsharp mask 6
+SIDE = TILE + 2 * HALO
+MARGIN = 8  # more of the mosaic, for the warp and the demosaicker
+SOURCE = SIDE + 2 * MARGIN
+TILES = 8  # of one pair, in one call
+BORDER = 8
+FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
+HOW = f"a checkerboard of {TILE}x{TILE} tiles: half are fitted, the other half reported"
+_SCALES = (0.8, 1.25)  # of the picture against the RAW; beyond, resizing would have to be modelled
+_PAD = 48
+_CERTAIN = 0.15  # of correlation that another orientation must be better by
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """One pair as it was read: a RAW and the picture (H, W, 3) that the camera made of it, encoded sRGB
+    in [0, 1], lying as the RAW does; `jpeg` is the file it was decoded from, where there is one."""
+
+    name: str
+    raw: Raw
+    picture: np.ndarray
+    jpeg: Jpeg | None = None
+
+
+class Chunk(NamedTuple):
+    """Tiles of one pair, TILES of them; unused ones have an empty mask.
+
+    Args:
+        source: (T, SOURCE, SOURCE) balanced mosaic, or with a last axis camera RGB.
+        target: (T, TILE, TILE, 3).
+        mask: (T, TILE, TILE).
+        place: (T, 4): rows and columns of the first pixel from the centre of the picture, and of the
+            source from the centre of the RAW.
+        corner: squared distance of the RAW's corners from its centre.
+        flat, edges: of `noise.Regions`, per tile.
+    """
+
+    source: Any
+    target: Any
+    mask: Any
+    place: Any
+    corner: Any
+    flat: Any
+    edges: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """One pair, ready to be fitted: its tiles and where it lies."""
+
+    name: str
+    cfa: str
+    alignment: Alignment
+    chunks: tuple[Chunk, ...]
+    jpeg: Jpeg | None
+    orientation: int = 1
+    notes: tuple[str, ...] = ()
+    raw_noise: tuple[float, float] | None = None
+    """Shot (variance) and read (standard deviation) of green, where the RAW states them."""
+
+
+class Split(NamedTuple):
+    """(H, W) boolean masks of the pixels that are fitted and of those that are reported."""
+
+    fitted: np.ndarray
+    held_out: np.ndarray
+
+
+def balanced(raw: Raw) -> np.ndarray:
+    """The mosaic with shading, as-shot white balance and the clip at white."""
+    chain = Chain((stage("mosaic_white_balance", cfa=raw.cfa), stage("clip")), "balanced")
+    params = params_for(Recipe(chain, chain.init(), meta=FROM_FILE), raw)
+    return np.asarray(run(chain, params, jnp.asarray(shaded_mosaic(raw))))
+
+
+def demosaicked(mosaic: np.ndarray, cfa: str, design: model.Design) -> jax.Array:
+    """Camera RGB of a whole balanced mosaic."""
+    return run(_demosaicker(cfa, design), {}, jnp.asarray(mosaic))
+
+
+def _demosaicker(cfa: str, design: model.Design) -> Chain:
+    return Chain(model.head(cfa, design).nodes[2:], "demosaic")
+
+
+def with_source(chunk: Chunk, cfa: str, design: model.Design) -> Chunk:
+    """The chunk with its mosaic demosaicked."""
+    return chunk._replace(source=_demosaic_tiles(_demosaicker(cfa, design), chunk.source))
+
+
+def _demosaic_tiles(chain: Chain, mosaics: np.ndarray) -> jax.Array:
+
+    return run_batch(chain, {}, jnp.asarray(mosaics))
+
+
+def align(example: Example) -> tuple[Example, Alignment, int, tuple[str, ...]]:
+    """Where the RAW lies on the picture; a picture that was turned or mirrored is turned back.
+
+    Raises:
+        InputError: the two do not show the same scene, or are of very different sizes.
+    """
+    camera_rgb = demosaicked(balanced(example.raw), example.raw.cfa, model.Design("demosaic_bilinear"))
+    bright = float(jnp.percentile(camera_rgb, 99))
+    guess = np.asarray(srgb_oetf(jnp.clip(camera_rgb / max(bright, 1e-6), 0, 1)))
+    picture, orientation, notes = example.picture, 1, []
+    same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
+    alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
+    if not same_scene(alignment, picture.shape) or float(alignment.correlation) < 0.6:
+        found = INVERSE[best_orientation(picture, guess)]
+        turned = np.ascontiguousarray(orient(picture, found))
+        other = estimate(turned, guess)
+        better = float(other.correlation) > float(alignment.correlation) + _CERTAIN
+        if found != 1 and same_scene(other, turned.shape) and better:
+            notes.append(
+                f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {found} "
+                f"(correlation {float(other.correlation):.2f} against {float(alignment.correlation):.2f})"
+            )
+            picture, alignment, orientation = turned, other, found
+    if not same_scene(alignment, picture.shape):
+        raise InputError(
+            f"{example.name}: the RAW and the JPEG do not show the same scene "
+            f"(correlation {float(alignment.correlation):.2f} after alignment)"
+        )
+    scales = 1 / float(alignment.scale_y), 1 / float(alignment.scale_x)
+    if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
+        raise InputError(
+            f"{example.name}: the JPEG is {scales[0]:.2f} times as high and {scales[1]:.2f} times as wide as "
+            f"the RAW; a fit needs a full-size JPEG ({_SCALES[0]} to {_SCALES[1]})"
+        )
+    # a turned picture is not on its encoder's grid any more
+    jpeg = example.jpeg if orientation == 1 else None
+    return dataclasses.replace(example, picture=picture, jpeg=jpeg), alignment, orientation, tuple(notes)
+
+
+def split(target: np.ndarray, alignment: Alignment, raw_shape: tuple[int, ...]) -> Split:
+    """A checkerboard of tiles. Clipped pixels are not fitted: they say only that a scene was brighter."""
+    inside = np.asarray(covered(alignment, raw_shape, target.shape) & border_mask(target.shape, BORDER))
+    unclipped = np.asarray(clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
+    y, x = np.indices(target.shape[:2], dtype=np.int32)
+    even = (y // TILE + x // TILE) % 2 == 0
+    return Split(inside & unclipped & even, inside & ~even)
+
+
+def prepare(example: Example, most: int = 32) -> Shot:
+    """Align a pair and take the tiles that are fitted, at most `most` of them.
+
+    Raises:
+        InputError: the pair cannot be fitted.
+    """
+    example, alignment, orientation, notes = align(example)
+    masks = split(example.picture, alignment, example.raw.mosaic.shape)
+    if not masks.fitted.any() or not masks.held_out.any():
+        raise InputError(
+            f"{example.name}: nothing to fit: pictures are smaller than two tiles, or all clipped"
+        )
+    corners = _choose(example.picture, masks.fitted, most)
+    mosaic = np.pad(balanced(example.raw), _PAD, mode="reflect")
+    tiles = [_tile(example, mosaic, alignment, masks.fitted, corner) for corner in corners]
+    flat = _regions(example.picture, masks.fitted)
+    chunks = tuple(_chunks(tiles, [_cut(flat, corner) for corner in corners], example.raw.mosaic.shape))
+    stated = example.raw.noise_profile
+    green = None if stated is None else (float(stated[1][0]), float(stated[1][1]))
+    return Shot(example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, green)
+
+
+def _choose(target: np.ndarray, fitted: np.ndarray, most: int) -> list[tuple[int, int]]:
+    """Corners of the tiles to fit: all, or those that spread widest over brightness, detail and radius."""
+    h, w = target.shape[:2]
+    grid = [(y, x) for y in range(0, h, TILE) for x in range(0, w, TILE) if (y // TILE + x // TILE) % 2 == 0]
+    shares = [fitted[y : y + TILE, x : x + TILE].sum() / TILE**2 for y, x in grid]
+    grid = [corner for corner, share in zip(grid, shares) if share > 0.15] or [grid[int(np.argmax(shares))]]
+    if len(grid) <= most:
+        return grid
+    luma = [target[y : y + TILE, x : x + TILE] @ np.asarray(LUMA_601, np.float32) for y, x in grid]
+    detail = [np.abs(np.diff(tile, axis=0)).mean() + np.abs(np.diff(tile, axis=1)).mean() for tile in luma]
+    radius = [np.hypot(y - h / 2, x - w / 2) for y, x in grid]
+    features = np.stack([np.argsort(np.argsort(f)) for f in ([t.mean() for t in luma], detail, radius)], 1)
+    chosen = [int(features[:, 0].argmin())]
+    distance = np.full(len(grid), np.inf)
+    for _ in range(most - 1):  # always the one that is least like those chosen
+        distance = np.minimum(distance, np.abs(features - features[chosen[-1]]).sum(1))
+        chosen.append(int(distance.argmax()))
+    return [grid[i] for i in chosen]
+
+
+def _tile(
+    example: Example, mosaic: np.ndarray, alignment: Alignment, fitted: np.ndarray, corner: tuple[int, int]
+) -> tuple[np.ndarray, ...]:
+    """(source, target, mask, place) of one tile."""
+    y, x = corner
+    center = (np.asarray(example.picture.shape[:2]) - 1) / 2
+    raw_center = (np.asarray(example.raw.mosaic.shape) - 1) / 2
+    first = np.asarray(corner) - HALO - center  # of the rendered tile, from the picture's centre
+    scale = np.asarray([alignment.scale_y, alignment.scale_x], float)
+    shift = np.asarray([alignment.dy, alignment.dx], float)
+    middle = raw_center + scale * (first + (SIDE - 1) / 2) + shift
+    origin = 2 * np.round((middle - (SOURCE - 1) / 2) / 2).astype(int)  # keeps the phase of the mosaic
+    limit = np.asarray(mosaic.shape) - SOURCE - _PAD
+    origin = np.clip(origin, -_PAD, limit - limit % 2)
+    top, left = origin + _PAD
+    source = mosaic[top : top + SOURCE, left : left + SOURCE]
+    target, mask = np.zeros((TILE, TILE, 3), np.float32), np.zeros((TILE, TILE), np.float32)
+    part = example.picture[y : y + TILE, x : x + TILE]
+    target[: part.shape[0], : part.shape[1]] = part
+    mask[: part.shape[0], : part.shape[1]] = fitted[y : y + TILE, x : x + TILE]
+    return source, target, mask, np.concatenate([first, origin - raw_center]).astype(np.float32)
+
+
+def _regions(target: np.ndarray, mask: np.ndarray) -> noise.Regions:
+    """Regions of a whole picture, filled up to whole tiles."""
+    found = noise.regions(target, mask)
+    fill = [-(-n // TILE) * TILE for n in target.shape[:2]]
+    edges = np.pad(found.edges, [(0, f - n) for f, n in zip(fill, found.edges.shape)])
+    rows = [f // noise.BLOCK for f in fill]
+    flat = np.pad(found.flat, [(0, 0), *((0, r - n) for r, n in zip(rows, found.flat.shape[1:]))])
+    return noise.Regions(flat, edges, found.levels)
+
+
+def _cut(found: noise.Regions, corner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    y, x = corner
+    per = TILE // noise.BLOCK
+    top, left = y // noise.BLOCK, x // noise.BLOCK
+    return found.flat[:, top : top + per, left : left + per], found.edges[y : y + TILE, x : x + TILE]
+
+
+def _chunks(tiles: list[Any], cuts: list[Any], raw_shape: tuple[int, ...]) -> Iterator[Chunk]:
+    """The tiles in groups of one size, dealt out so that each group is like the whole."""
+    corner = np.float32(sum((n - 1) ** 2 for n in raw_shape) / 4)
+    count = -(-len(tiles) // TILES)
+    for first in range(count):
+        group = list(zip(tiles, cuts))[first::count]
+        arrays = [np.stack(part) for part in zip(*[(*tile, *cut) for tile, cut in group])]
+        short = TILES - len(group)
+        source, target, mask, place, flat, edges = (
+            np.concatenate([a, a[:1].repeat(short, 0)]) for a in arrays
+        )
+        if short:
+            mask[-short:], flat[-short:], edges[-short:] = 0, 0, 0
+        yield Chunk(source, target, mask, place, corner, flat, edges)
