@@ -1,0 +1,134 @@
+"""`jaxisp train`: a denoiser, on pairs degraded on the fly."""
+
+import contextlib
+import os
+from argparse import Namespace
+from typing import Any
+
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.errors import InputError
+
+_OPTIONS: tuple[tuple[str, Any, str], ...] = (
+    ("--steps", positive, "updates (default 5000)"),
+    ("--batch", positive, "patches in a step (default 32)"),
+    ("--patch", positive, "their side in px (default 80)"),
+    ("--downsample", positive, "photographs are made smaller by this first (default 4)"),
+    ("--per-image", positive, "patches of a photograph in an epoch (default 5)"),
+    ("--held-out", int, "photographs for validation (default one in ten)"),
+    ("--validation", positive, "validation patches (default 64)"),
+    ("--lr", float, "learning rate (default 1e-3)"),
+    ("--schedule", str, "cosine (default), staircase (the paper's) or constant"),
+    ("--warmup", int, "steps of linear warm-up (default 100)"),
+    ("--optimizer", str, "adam (default) or amsgrad"),
+    ("--weight-decay", float, "default 0"),
+    ("--clip-norm", float, "longest gradient, 0 for no limit (default 1)"),
+    ("--ema", float, "decay of the averaged weights, 0 for none (default 0.999)"),
+    ("--loss", str, "l1 (default), charbonnier, smooth_l1 or l2"),
+    ("--light", str, "what the network sees: encoded (default) or linear"),
+    ("--log-every", positive, "steps between lines of the log (default 20)"),
+    ("--checkpoint-every", positive, "steps between checkpoints with validation (default 500)"),
+    ("--keep", positive, "checkpoints kept besides the best (default 2)"),
+)
+_SETTINGS = (
+    "model", "seed", "fresh_crops", "bf16", *(flag[2:].replace("-", "_") for flag, _, _ in _OPTIONS)
+)  # fmt: skip
+
+
+def add_commands(commands: Any) -> None:
+    command = add_command(commands, "train", run, "train a denoiser on pairs degraded on the fly")
+    command.set_defaults(seed=None)
+    command.add_argument("--clean", nargs="+", metavar="DIR", help="clean photographs, also in folders below")
+    command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
+    command.add_argument(
+        "--model", metavar="NAME",
+        help="fast (default), dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
+    )  # fmt: skip
+    command.add_argument("-o", "--out", required=True, metavar="RUN", help="the run is written here")
+    command.add_argument("--resume", action="store_true", help="go on from the run's last checkpoint")
+    for flag, kind, text in _OPTIONS:
+        command.add_argument(flag, type=kind, help=text)
+    command.add_argument(
+        "--fixed-crops", dest="fresh_crops", action="store_false", default=None,
+        help="the same crops each epoch, as in the paper",
+    )  # fmt: skip
+    command.add_argument("--bf16", action="store_true", default=None, help="compute in bfloat16")
+    command.add_argument(
+        "--cpu-devices", type=positive, metavar="N",
+        help="on a CPU, spread batches over N parts of it (default: one a core, at most 8)",
+    )  # fmt: skip
+    command.add_argument(
+        "--coordinator", metavar="HOST:PORT",
+        help="train with several processes that meet here; auto: as Slurm, MPI or Kubernetes says",
+    )  # fmt: skip
+    command.add_argument(
+        "--processes", type=positive, metavar="N", help="how many; with --coordinator HOST:PORT"
+    )
+    command.add_argument("--process-id", type=int, metavar="I", help="which this one is, from 0")
+
+
+def run(arguments: Namespace) -> int:
+    use_cores(arguments.cpu_devices)
+    import dataclasses
+
+    from jaxisp.recipes import find_recipe
+    from jaxisp.train import TrainConfig, train
+    from jaxisp.train.folder import CONFIG, load_settings
+
+    _join(arguments)
+    given = {n: getattr(arguments, n) for n in _SETTINGS if getattr(arguments, n) is not None}
+    if arguments.clean:
+        given["clean"] = tuple(arguments.clean)
+    if arguments.recipe:
+        given["recipe"] = arguments.recipe
+    if arguments.resume and os.path.exists(os.path.join(arguments.out, CONFIG)):
+        before, recipe = load_settings(arguments.out)
+        config = dataclasses.replace(before, **given)
+        recipe = find_recipe(arguments.recipe) if arguments.recipe else recipe
+    else:
+        for name in ("clean", "recipe"):
+            if name not in given:
+                raise InputError(f"train needs --{name}, or --resume with a run in {arguments.out}")
+        config, recipe = TrainConfig(**given), find_recipe(arguments.recipe)
+    with progress("training") as tick:
+        result = train(config, arguments.out, recipe=recipe, resume=arguments.resume, tick=tick)
+    if arguments.json:
+        print_json(result.as_dict())
+    else:
+        _print(result)
+    report_failures(result.skipped)  # a warning each: the run is whole without them
+    return 0
+
+
+def _print(result: Any) -> None:
+    state = "done" if result.finished else "stopped; go on with --resume"
+    rate = f"{result.images_per_second:.0f} images/s on {result.devices}"
+    print(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}), {state}")
+    if result.validation:
+        found = result.validation
+        print(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")
+
+
+def use_cores(count: int | None) -> None:
+    """Let JAX see the CPU as several devices: its convolutions use one core each. Before it computes."""
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    import jax
+
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with contextlib.suppress(RuntimeError):  # it computes already, in a program that calls this one
+        jax.config.update("jax_num_cpu_devices", count or min(8, available))
+
+
+def _join(arguments: Namespace) -> None:
+    """Join the other processes, where there are any."""
+    if not arguments.coordinator:
+        return
+    import jax
+
+    try:
+        if arguments.coordinator == "auto":
+            jax.distributed.initialize()
+        else:
+            jax.distributed.initialize(arguments.coordinator, arguments.processes, arguments.process_id)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"--coordinator {arguments.coordinator}: {error}") from None

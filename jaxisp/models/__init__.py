@@ -1,0 +1,65 @@
+"""Denoising networks in flax.nnx: (N, H, W, C) noisy in, the same shape clean out."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from flax import nnx
+
+from jaxisp.errors import InputError
+from jaxisp.models.dncnn import DnCNN
+from jaxisp.models.fast import FastNet
+from jaxisp.models.ffdnet import FFDNet
+from jaxisp.models.inference import denoise
+from jaxisp.models.n3net import N3Net
+from jaxisp.models.nafnet import NAFNet
+
+MODELS: dict[str, Callable[..., nnx.Module]] = {
+    "fast": FastNet,
+    "dncnn6": functools.partial(DnCNN, depth=6),
+    "dncnn17": DnCNN,
+    "ffdnet": FFDNet,
+    "nafnet": NAFNet,
+    "n3net": N3Net,
+    "n3net-stripped": functools.partial(N3Net, embedding=None),
+}
+"""Constructors by the name that the command line takes. Each takes `rngs` and the options of its class."""
+
+
+def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
+    """A network with fresh weights.
+
+    Args:
+        name: one of `MODELS`.
+        seed: of the weights.
+        **options: of the constructor, as depth or features.
+
+    Raises:
+        InputError: no such network or option.
+    """
+    if name not in MODELS:
+        raise InputError(f"no model named {name!r}; there are {', '.join(MODELS)}")
+    try:
+        return MODELS[name](rngs=nnx.Rngs(seed), **options)
+    except TypeError as error:
+        raise InputError(f"model {name!r}: {error}") from None
+
+
+def count_parameters(model: nnx.Module) -> int:
+    """Learned numbers: batch norms' running averages do not count."""
+    return sum(int(np.prod(p.shape)) for p in jax.tree.leaves(nnx.state(model, nnx.Param)))
+
+
+__all__ = [
+    "MODELS",
+    "DnCNN",
+    "FFDNet",
+    "FastNet",
+    "N3Net",
+    "NAFNet",
+    "count_parameters",
+    "denoise",
+    "make_model",
+]

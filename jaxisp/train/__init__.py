@@ -1,0 +1,30 @@
+"""Train denoisers on pairs degraded on the fly, apply them, and measure them."""
+
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.denoiser import Denoiser, denoise_files, load_denoiser
+from jaxisp.train.devices import make_mesh, replicate, spread
+from jaxisp.train.evaluate import evaluate_dataset
+from jaxisp.train.optimizer import make_optimizer, schedule
+from jaxisp.train.step import LOSSES, State, degrader, init_state, make_step, weights
+from jaxisp.train.trainer import TrainResult, train
+
+__all__ = [
+    "LOSSES",
+    "Denoiser",
+    "State",
+    "TrainConfig",
+    "TrainResult",
+    "degrader",
+    "denoise_files",
+    "evaluate_dataset",
+    "init_state",
+    "load_denoiser",
+    "make_mesh",
+    "make_optimizer",
+    "make_step",
+    "replicate",
+    "schedule",
+    "spread",
+    "train",
+    "weights",
+]

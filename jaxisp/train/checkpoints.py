@@ -1,0 +1,124 @@
+"""Checkpoints of a run: written whole or not at all, the newest few and the best are kept."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from jaxisp.errors import InputError
+from jaxisp.train.step import State
+
+FOLDERS = ("best", "last")
+
+
+class Checkpoints:
+    """The checkpoints of a run, by step, in RUN/checkpoints/last and RUN/checkpoints/best.
+
+    A checkpoint is written into a temporary folder that is renamed when it is whole, and older ones are
+    deleted after that: whatever kills the process, the last whole one stands.
+    """
+
+    def __init__(self, run: Path, keep: int = 2) -> None:
+        self._managers = {
+            name: _manager(run / "checkpoints" / name, count) for name, count in zip(FOLDERS, (1, keep))
+        }
+        self.run = run
+
+    @property
+    def best(self) -> tuple[int, float] | None:
+        """Step and validation PSNR of the best checkpoint."""
+        manager = self._managers["best"]
+        steps = manager.all_steps()
+        if not steps:
+            return None
+        return max(steps), float(_notes(manager, max(steps))["psnr"])
+
+    def save(self, state: State, psnr: float | None) -> None:
+        """Write a checkpoint; as the best one too where its validation PSNR is the highest.
+
+        Raises:
+            InputError: it cannot be written, as where the disk is full; the ones before it stand.
+        """
+        step, best = int(state.step), self.best
+        if psnr is not None and (best is None or psnr > best[1]):
+            self._save("best", step, state, psnr)
+        self._save("last", step, state, psnr)
+
+    def _save(self, which: str, step: int, state: State, psnr: float | None) -> None:
+        manager = self._managers[which]
+        if step in manager.all_steps():
+            return
+        items = ocp.args.Composite(
+            state=ocp.args.StandardSave(state._asdict()), notes=ocp.args.JsonSave({"psnr": psnr})
+        )
+        try:
+            manager.save(step, args=items)
+            manager.wait_until_finished()
+        except Exception as error:  # orbax and tensorstore raise many kinds for a full disk
+            for part in (self.run / "checkpoints" / which).glob(f"{step}.*tmp*"):
+                shutil.rmtree(part, ignore_errors=True)  # gives the space back
+            last = max(self.steps(), default=None)
+            stands = f"the one of step {last} is intact" if last else "there is none yet"
+            raise InputError(
+                f"{self.run}: the checkpoint of step {step} cannot be written ({_short(error)}); {stands}"
+            ) from error
+
+    def steps(self, which: str = "last") -> list[int]:
+        """Steps that there are whole checkpoints of."""
+        return sorted(self._managers[which].all_steps())
+
+    def restore(self, like: State, which: str = "last") -> State:
+        """The newest checkpoint that can be read, in the shapes and on the devices of `like`.
+
+        Raises:
+            InputError: there is none, or none fits.
+        """
+        why = "there is none"
+        for step in reversed(self.steps(which)):
+            try:
+                return self._restore(self._managers[which], step, like)
+            except Exception as error:  # damaged after it was written: the one before may be whole
+                why = f"step {step}: {_short(error)}"
+        raise InputError(f"{self.run}: no {which} checkpoint that can be read ({why})")
+
+    def _restore(self, manager: ocp.CheckpointManager, step: int, like: State) -> State:
+        items = ocp.args.Composite(state=ocp.args.StandardRestore(like._asdict()))
+        return State(**manager.restore(step, args=items)["state"])
+
+    def close(self) -> None:
+        for manager in self._managers.values():
+            manager.close()
+
+
+def _manager(folder: Path, keep: int) -> ocp.CheckpointManager:
+    options = ocp.CheckpointManagerOptions(
+        max_to_keep=keep,
+        create=True,
+        cleanup_tmp_directories=True,
+        enable_async_checkpointing=False,
+    )
+    return ocp.CheckpointManager(folder.resolve(), options=options)
+
+
+def _notes(manager: ocp.CheckpointManager, step: int) -> dict[str, Any]:
+    return manager.restore(step, args=ocp.args.Composite(notes=ocp.args.JsonRestore()))["notes"]
+
+
+def _short(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if len(text) < 200 else text[:200] + "..."
+
+
+def fingerprint(state: State) -> str:
+    """A digest of every bit of a state, to compare runs by."""
+    import hashlib
+
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree.leaves_with_path(state):
+        digest.update(json.dumps(str(path)).encode())
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()

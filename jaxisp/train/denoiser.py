@@ -1,0 +1,100 @@
+"""A trained run as a denoiser of pictures and files."""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from jaxisp.errors import InputError
+from jaxisp.io.files import find_images, output_folder
+from jaxisp.io.images import read_image, write_png
+from jaxisp.models.inference import denoise
+from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
+from jaxisp.train.checkpoints import FOLDERS, Checkpoints
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.folder import load_settings
+from jaxisp.train.optimizer import make_optimizer
+from jaxisp.train.step import init_state, split_model, weights
+from jaxisp.train.trainer import build_model
+
+
+class Denoiser:
+    """A network with the encoding that it works in.
+
+    Args:
+        model: the network.
+        light: "encoded" or "linear": what it sees.
+    """
+
+    def __init__(self, model: nnx.Module, light: str = "encoded") -> None:
+        self.model, self.light = model, light
+
+    def __call__(self, image: np.ndarray, *, tile: int | None = None) -> np.ndarray:
+        """Denoise (H, W, 3) encoded sRGB in [0, 1] of any size; the result is cut to [0, 1]."""
+        if self.light == "encoded":
+            return np.clip(denoise(self.model, image, tile=tile), 0, 1)
+        linear = np.asarray(srgb_eotf(jnp.asarray(image, jnp.float32)))
+        return np.asarray(srgb_oetf(jnp.clip(denoise(self.model, linear, tile=tile), 0, 1)))
+
+
+def load_denoiser(run: str | Path, checkpoint: str = "best") -> tuple[Denoiser, TrainConfig]:
+    """The network of a run, with its averaged weights, and what the run was told.
+
+    Args:
+        run: a folder that `train` wrote.
+        checkpoint: "best", by its validation, or "last".
+
+    Raises:
+        InputError: no run, or no checkpoint.
+    """
+    if checkpoint not in FOLDERS:
+        raise InputError(f"checkpoint {checkpoint!r}: expected one of {', '.join(FOLDERS)}")
+    config, _ = load_settings(run)
+    model = build_model(config)
+    like = init_state(model, make_optimizer(config, 1), ema=config.ema)
+    checkpoints = Checkpoints(Path(run), config.keep)
+    found = checkpoint if checkpoints.steps(checkpoint) else "last"  # stopped before its first validation
+    state = checkpoints.restore(like, found)
+    checkpoints.close()
+    graph, _, _ = split_model(model, train=False)
+    return Denoiser(nnx.merge(graph, *weights(state)), config.light), config
+
+
+def denoise_files(
+    denoiser: Denoiser,
+    inputs: Sequence[str | Path],
+    out: str | Path,
+    *,
+    tile: int | None = None,
+    tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
+) -> dict[str, Any]:
+    """Write OUT/STEM.png for each picture.
+
+    Returns:
+        {"images", "seconds", "failed"}: failed has (file, reason) of what could not be used.
+
+    Raises:
+        InputError: no input, or the folder cannot be written.
+    """
+    paths, out = find_images(inputs), output_folder(out)
+    clock, done, failed = time.perf_counter(), 0, []
+    seen: dict[str, Path] = {}
+    for path in paths:
+        try:
+            if path.stem in seen:
+                raise InputError(f"{path}: {seen[path.stem]} has the same name, which outputs would share")
+            if (out / f"{path.stem}.png").resolve() == path.resolve():
+                raise InputError(f"{path}: would be overwritten by its own result")
+            seen[path.stem] = path
+            picture = read_image(path)
+        except InputError as error:
+            failed.append((str(path), str(error)))
+            continue
+        write_png(out / f"{path.stem}.png", denoiser(picture, tile=tile))
+        done += 1
+        tick(done, len(paths), path.name)
+    return {"images": done, "seconds": round(time.perf_counter() - clock, 3), "failed": failed}

@@ -1,0 +1,133 @@
+"""PSNR and SSIM on clean+noisy pairs, aligned and normalised as in the paper."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.errors import InputError
+from jaxisp.fit.align import Alignment, covered, estimate, same_scene, warp
+from jaxisp.io import open_dataset
+from jaxisp.io.datasets import Loaded
+from jaxisp.metrics import match_moments, psnr, ssim
+from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
+
+_INTERPOLATION = 2  # px beyond which bicubic interpolation does not read
+_FIGURES = ("psnr_in", "ssim_in", "psnr", "ssim")
+
+ALIGNED = "clean resampled onto the noisy picture: phase correlation, then sub-pixel shift and scale"
+NORMALISED = "clean given the mean and standard deviation of what it is compared with, per channel"
+
+
+def evaluate_dataset(
+    denoise: Callable[[np.ndarray], np.ndarray],
+    folder: str | Path,
+    *,
+    light: str = "linear",
+    crop: int | None = None,
+    tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
+) -> dict[str, Any]:
+    """Measure a denoiser on the clean+noisy pairs of a folder.
+
+    The clean picture is laid on the noisy one first, then for the input and the output each given their
+    mean and standard deviation per channel (Jaroensri et al. 2019). SSIM has the Gaussian window.
+
+    Args:
+        denoise: (H, W, 3) encoded sRGB to the same.
+        folder: a data set.
+        light: what is compared, "linear" light as in the paper, or "encoded" sRGB.
+        crop: side of the middle part that is used [px], for large pictures; aligning uses all.
+        tick: called with (done, total, text).
+
+    Returns:
+        {"pairs": [{"name", "psnr_in", "ssim_in", "psnr", "ssim", "aligned", "shift_px"}], "mean",
+        "aligned", "normalised", "light", "ssim", "failed"}; failed has (file, reason).
+
+    Raises:
+        InputError: no data set of such pairs, or none that can be read.
+    """
+    dataset = open_dataset(folder, kind="clean+noisy")
+    failed = [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
+    rows = []
+    for i, pair in enumerate(dataset.pairs):
+        tick(i, len(dataset.pairs), pair.name)
+        try:
+            rows.append({"name": pair.name, **_evaluate(denoise, pair.load(), light, crop)})
+        except InputError as error:
+            failed.append((pair.name, str(error)))
+    tick(len(dataset.pairs), len(dataset.pairs), "")
+    if not rows:
+        raise InputError(failed[0][1])
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in _FIGURES}
+    return {
+        "pairs": rows,
+        "mean": mean,
+        "aligned": ALIGNED,
+        "normalised": NORMALISED,
+        "light": light,
+        "ssim": "gaussian window, sigma 1.5",
+        "failed": failed,
+    }
+
+
+def _evaluate(denoise: Any, pair: Loaded, light: str, crop: int | None) -> dict[str, Any]:
+    clean, noisy = pair.clean, pair.picture
+    assert clean is not None, "a clean+noisy pair has one"
+    linear = srgb_eotf(jnp.asarray(clean)) if pair.settings.clean_encoding == "srgb" else jnp.asarray(clean)
+    place, trusted = _align(pair.name, noisy, np.asarray(srgb_oetf(linear)))
+    laid = warp(linear, place, noisy.shape)
+    area = _rectangle(np.asarray(covered(place, clean.shape, noisy.shape)), crop)
+    if min(s.stop - s.start for s in area) < 16:
+        raise InputError(f"{pair.name}: the clean picture covers too little of the noisy one")
+    around = tuple(slice(max(0, s.start - 64), s.stop + 64) for s in area) if crop else (slice(None),) * 2
+    output = np.zeros_like(noisy)
+    output[around] = denoise(np.ascontiguousarray(noisy[around]))
+    figures: dict[str, float] = {}
+    for suffix, picture in (("_in", noisy), ("", output)):
+        values = _compare(laid[area], jnp.asarray(picture[area]), light)
+        figures |= {f"psnr{suffix}": float(values[0]), f"ssim{suffix}": float(values[1])}
+    return {**figures, "aligned": trusted, "shift_px": [round(float(place.dy), 3), round(float(place.dx), 3)]}
+
+
+def _align(name: str, noisy: np.ndarray, clean: np.ndarray) -> tuple[Alignment, bool]:
+    """Where the clean picture lies; left where it is if that cannot be told."""
+    try:
+        place = estimate(noisy, clean)
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
+    if same_scene(place, min(noisy.shape, clean.shape)):
+        return place, True
+    return Alignment(correlation=place.correlation), False
+
+
+def _rectangle(inside: np.ndarray, crop: int | None) -> tuple[slice, slice]:
+    """The rows and columns that the clean picture covers, its border left out; the middle of them."""
+    found = []
+    for axis in (1, 0):
+        index = np.flatnonzero(inside.any(axis=axis))
+        if not index.size:
+            return slice(0, 0), slice(0, 0)
+        first, last = int(index[0]), int(index[-1]) + 1
+        size = inside.shape[1 - axis]
+        first += _INTERPOLATION if first > 0 else 0
+        last -= _INTERPOLATION if last < size else 0
+        if crop and last - first > crop:
+            first += (last - first - crop) // 2
+            last = first + crop
+        found.append(slice(first, last))
+    return found[0], found[1]
+
+
+@functools.partial(jax.jit, static_argnames="light")
+def _compare(clean: jax.Array, picture: jax.Array, light: str) -> tuple[jax.Array, jax.Array]:
+    """PSNR and SSIM; clean is linear, the picture encoded."""
+    if light == "linear":
+        picture = srgb_eotf(picture)
+    else:
+        clean = srgb_oetf(clean)
+    matched = match_moments(clean, picture)
+    return psnr(matched, picture), ssim(matched, picture)

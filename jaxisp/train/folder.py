@@ -1,0 +1,104 @@
+"""The folder of a run: one writer at a time, what it was told, and its model card."""
+
+import contextlib
+import dataclasses
+import fcntl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from jaxisp import __version__
+from jaxisp.errors import InputError
+from jaxisp.io.files import atomic_write, output_folder
+from jaxisp.recipe import Recipe
+from jaxisp.train.config import TrainConfig
+
+_LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
+CONFIG, RECIPE, CARD = "config.toml", "recipe.toml", "MODEL_CARD.md"
+
+
+@contextlib.contextmanager
+def locked(run: Path) -> Iterator[None]:
+    """Keep other processes from training into the folder; the system frees it when a process dies.
+
+    Raises:
+        InputError: another process is training into it.
+    """
+    with (output_folder(run) / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{run}: another process is training into this folder") from error
+        yield
+
+
+def begin(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
+    """Write what a run is told; to resume, check that it is told the same (more steps are allowed).
+
+    Raises:
+        InputError: the folder holds a run and this is not to resume it, or it is another run's.
+    """
+    if (run / CONFIG).exists():
+        if not resume:
+            raise InputError(f"{run}: holds a run already; resume it, or choose another folder")
+        _check_same(run, config, recipe)
+    recipe.save(run / RECIPE)
+    config.save(run / CONFIG)  # the last: where it stands, the run can be resumed
+
+
+def _check_same(run: Path, config: TrainConfig, recipe: Recipe) -> None:
+    before, now = (dataclasses.asdict(c) for c in (TrainConfig.load(run / CONFIG), config))
+    for field, value in before.items():
+        if value != now[field] and field != "steps":
+            raise InputError(f"{run}: was begun with {field} = {value!r}, cannot go on with {now[field]!r}")
+    if Recipe.load(run / RECIPE) != recipe:
+        raise InputError(f"{run}: was begun with another recipe of the name {recipe.name!r}")
+
+
+def load_settings(run: str | Path) -> tuple[TrainConfig, Recipe]:
+    """What a run was told. Raises InputError where the folder holds none."""
+    run = Path(run)
+    if not (run / CONFIG).is_file():
+        raise InputError(f"{run}: holds no run, expected a folder that jaxisp train wrote")
+    return TrainConfig.load(run / CONFIG), Recipe.load(run / RECIPE)
+
+
+def write_card(run: Path, config: TrainConfig, recipe: Recipe, result: dict[str, Any], data: str) -> None:
+    """MODEL_CARD.md: what the network is, what it was trained on, how well it does, what it is not for."""
+    best = result["best"]
+    figures = f"{best['psnr']:.2f} dB at step {best['step']}" if best else "not validated"
+    settings = "\n".join(f"| {name} | {value} |" for name, value in dataclasses.asdict(config).items())
+    text = f"""# {config.model} trained on `{recipe.name}`
+
+A denoiser for photographs, which it sees in {_LIGHTS[config.light]}.
+
+- **Network**: {config.model}, {result["parameters"]} parameters, options {config.model_options or "none"}.
+- **Trained for**: {result["step"]} of {config.steps} steps of {config.batch} patches of {config.patch} px,
+  seed {config.seed}{"" if result["finished"] else " (stopped before its end)"}.
+- **Clean photographs**: {data}, made smaller by {config.downsample} in linear light.
+- **Degraded by**: `{recipe.name}`: {recipe.description or "no description"}. Its text is in {RECIPE}.
+- **Weights**: {f"averaged with a decay of {config.ema}" if config.ema else "those of the last step"};
+  `checkpoints/best` has those of the best validation.
+- **Validation**: {figures}, noisy input {_psnr_in(result)}, on {config.validation} simulated patches of
+  photographs that were held out from training (fixed crops, parameters and noise).
+- **Made with**: jaxisp {__version__}, {result["devices"]}.
+
+Noise unlike what the recipe draws, other cameras and other processing are outside what it was trained
+for. Figures on simulated patches do not carry over to real photographs: run `jaxisp evaluate`.
+
+| setting | value |
+| --- | --- |
+{settings}
+
+Recipe:
+
+```toml
+{recipe.to_toml()}```
+"""
+    with atomic_write(run / CARD) as file:
+        file.write(text.encode())
+
+
+def _psnr_in(result: dict[str, Any]) -> str:
+    last = result["validation"]
+    return f"{last['psnr_in']:.2f} dB" if last else "not measured"

@@ -1,0 +1,76 @@
+"""The log of a run: CSV files and TensorBoard events, both continued where a run is resumed."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tensorboardX import SummaryWriter
+
+from jaxisp.errors import InputError
+from jaxisp.io.files import atomic_write, reason
+
+STEP_FIELDS = ("step", "epoch", "loss", "grad_norm", "lr", "images_per_second")
+VALIDATION_FIELDS = ("step", "loss", "psnr", "psnr_in")
+
+
+class Log:
+    """RUN/log.csv has a row for each step, RUN/validation.csv for each validation, RUN/tensorboard both.
+
+    Args:
+        run: the folder.
+        step: the log goes on after this one: rows of later steps, of a run that was killed, are dropped.
+    """
+
+    def __init__(self, run: Path, step: int) -> None:
+        self.run = run
+        for name, fields in (("log.csv", STEP_FIELDS), ("validation.csv", VALIDATION_FIELDS)):
+            _truncate(run / name, fields, step)
+        self._events = SummaryWriter(str(run / "tensorboard"), purge_step=step + 1)
+
+    def steps(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Append rows, one a step; TensorBoard gets the last one with the mean loss of all."""
+        self._append("log.csv", STEP_FIELDS, rows)
+        mean = sum(row["loss"] for row in rows) / len(rows)
+        self._scalars("train", rows[-1]["step"], {**rows[-1], "loss": mean})
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Append a validation."""
+        self._append("validation.csv", VALIDATION_FIELDS, [row])
+        self._scalars("validation", row["step"], row)
+
+    def close(self) -> None:
+        self._events.close()
+
+    def _append(self, name: str, fields: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+        try:
+            with (self.run / name).open("a", newline="") as file:
+                csv.DictWriter(file, fields).writerows(rows)
+        except OSError as error:
+            raise InputError(f"{self.run / name}: cannot be written: {reason(error)}") from error
+
+    def _scalars(self, group: str, step: int, row: Mapping[str, Any]) -> None:
+        for name, value in row.items():
+            if name not in ("step", "epoch"):
+                self._events.add_scalar(f"{group}/{name}", value, step)
+        self._events.flush()
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file; none where it is missing. A last line that was cut off is dropped."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [row for row in rows if None not in row.values() and row["step"].isdigit()]
+
+
+def _truncate(path: Path, fields: Sequence[str], step: int) -> None:
+    kept = [row for row in read_rows(path) if int(row["step"]) <= step]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fields)
+    writer.writeheader()
+    writer.writerows(kept)
+    with atomic_write(path) as file:
+        file.write(text.getvalue().encode())

@@ -1,0 +1,298 @@
+"""A training run from its configuration: data, steps, checkpoints, log, validation, model card."""
+
+import contextlib
+import dataclasses
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import nnx
+from jax.experimental import multihost_utils
+
+from jaxisp.data.clean import CleanImages, load_clean
+from jaxisp.data.sources import CleanPatches, degrade_key
+from jaxisp.errors import InputError
+from jaxisp.models import count_parameters, make_model
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import find_recipe
+from jaxisp.train.checkpoints import Checkpoints
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.devices import make_mesh, replicate, spread
+from jaxisp.train.folder import begin, locked, write_card
+from jaxisp.train.logs import Log
+from jaxisp.train.optimizer import make_optimizer, schedule
+from jaxisp.train.step import State, init_state, make_step
+from jaxisp.train.validation import make_validation
+
+Tick = Callable[[int, int, str], Any]
+
+
+@dataclasses.dataclass
+class TrainResult:
+    """What a run came to.
+
+    Args:
+        run: its folder.
+        step: updates done; `finished` says whether all are.
+        loss: of the last step; NaN where none was done.
+        validation: the last one, {"loss", "psnr", "psnr_in"}, or None.
+        best: {"step", "psnr"} of the best one, or None.
+        images_per_second: over this call, the first interval (with compilation) left out; 0 if that was all.
+        skipped: (file, reason) of photographs that could not be used.
+        state: after the last step.
+    """
+
+    run: Path
+    step: int
+    finished: bool
+    loss: float
+    validation: dict[str, float] | None
+    best: dict[str, float] | None
+    parameters: int
+    devices: str
+    images_per_second: float
+    seconds: float
+    skipped: tuple[tuple[str, str], ...]
+    state: State
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        table = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "state"}
+        table["skipped"] = [{"file": name, "reason": reason} for name, reason in self.skipped]
+        return {**table, "run": str(self.run), "loss": None if np.isnan(self.loss) else self.loss}
+
+
+def train(
+    config: TrainConfig,
+    run: str | Path,
+    *,
+    recipe: Recipe | None = None,
+    resume: bool = False,
+    tick: Tick = lambda done, total, text: None,
+) -> TrainResult:
+    """Train a denoiser on pairs that are degraded on the fly.
+
+    The patches, the degradation and the updates of a step follow from the configuration and the step's
+    number alone, so a run that is stopped and resumed ends with the bits of one that was not. SIGINT and
+    SIGTERM let the step end, write a checkpoint and return.
+
+    Args:
+        config: everything but the place.
+        run: a folder for checkpoints, log and model card; with several processes, one that all share.
+        recipe: the recipe that `config.recipe` names; looked up unless given.
+        resume: go on from the last checkpoint in the folder (from the start where there is none).
+        tick: called with (done, total, text).
+
+    Raises:
+        InputError: the folder holds a run and `resume` is false, another process trains into it, no
+            photograph can be used, the disk is full, or the loss is no longer finite.
+    """
+    run = Path(run)
+    recipe = recipe or find_recipe(config.recipe)
+    if recipe.chain.domain_in.channels != 3 or recipe.chain.domain_out.channels != 3:
+        raise InputError(f"recipe {recipe.name!r} takes {recipe.chain.domain_in.name}, not photographs")
+    lead = jax.process_index() == 0
+    with locked(run) if lead else contextlib.nullcontext(), _Signals() as signals:
+        if lead:
+            begin(run, config, recipe, resume=resume)
+        return _Run(config, run, recipe, lead, signals, tick).train()
+
+
+class _Run:
+    """One call of `train`."""
+
+    def __init__(
+        self, config: TrainConfig, run: Path, recipe: Recipe, lead: bool, signals: "_Signals", tick: Tick
+    ) -> None:
+        self.config, self.run, self.recipe, self.lead = config, run, recipe, lead
+        self.signals, self.tick, self.clock = signals, tick, time.perf_counter()
+        self.mesh = make_mesh(config.batch)
+        self.model = build_model(config)
+        images = load_clean(
+            config.clean, patch=config.patch, downsample=config.downsample,
+            per_image=config.per_image, seed=config.seed, tick=tick,
+        )  # fmt: skip
+        self.images = images
+        training, held_out = _split(images, config.held_out)
+        self.source = CleanPatches(
+            training, config.patch, per_image=config.per_image, seed=config.seed, fresh=config.fresh_crops
+        )
+        self.validate = make_validation(self.model, recipe, config, held_out, self.mesh)
+        epoch_steps = max(1, len(self.source) // config.batch)
+        optimizer = make_optimizer(config, epoch_steps)
+        self.lr = schedule(config, epoch_steps)
+        self.step = make_step(
+            self.model, recipe, optimizer, key=degrade_key(config.seed), loss=config.loss,
+            ema=config.ema, light=config.light, mesh=self.mesh,
+        )  # fmt: skip
+        self.checkpoints = Checkpoints(run, config.keep)
+        fresh = replicate(self.mesh, init_state(self.model, optimizer, ema=config.ema))
+        self.state = self.checkpoints.restore(fresh) if self.checkpoints.steps() else fresh
+        self.log = Log(run, int(self.state.step)) if lead else None
+        self.waiting: list[tuple[int, dict[str, jax.Array]]] = []
+        self.loss = float("nan")
+        self.validation: dict[str, float] | None = None
+        self.rate = _Rate(config.batch)
+
+    def train(self) -> TrainResult:
+        done, config = int(self.state.step), self.config
+        self.rate.start(done)
+        while done < config.steps and not self._stopping(done):
+            self.state, metrics = self.step(self.state, self._batch(done), done * config.batch)
+            done += 1
+            self.waiting.append((done, metrics))
+            if done % config.log_every == 0:
+                self._flush()
+            if done % config.checkpoint_every == 0 or done == config.steps:
+                self._save(validate=True)
+        if done % config.checkpoint_every and done < config.steps:
+            self._save(validate=False)
+        return self._finish(done)
+
+    def _batch(self, done: int) -> jax.Array:
+        first = done * self.config.batch
+        return spread(self.mesh, self.source, range(first, first + self.config.batch))
+
+    def _stopping(self, done: int) -> bool:
+        """Whether a signal came; several processes agree on it where they log."""
+        if jax.process_count() == 1:
+            return self.signals.came
+        if done % self.config.log_every:
+            return False
+        return bool(multihost_utils.process_allgather(np.asarray(self.signals.came)).any())
+
+    def _flush(self) -> None:
+        """Fetch the metrics of the steps since the last time, and log them."""
+        if not self.waiting:
+            return
+        values = [(step, jax.device_get(metrics)) for step, metrics in self.waiting]
+        self.waiting = []
+        rate = self.rate.lap(values[-1][0])
+        rows = [
+            {
+                "step": step,
+                "epoch": (step - 1) * self.config.batch // len(self.source),
+                "loss": float(m["loss"]),
+                "grad_norm": float(m["grad_norm"]),
+                "lr": float(self.lr(step - 1)),
+                "images_per_second": round(rate, 2),
+            }
+            for step, m in values
+        ]
+        for row in rows:
+            if not np.isfinite(row["loss"]):
+                raise InputError(
+                    f"{self.run}: the loss is {row['loss']} at step {row['step']}; lower the learning rate "
+                    f"({self.config.lr:g}) or resume from the last checkpoint"
+                )
+        self.loss = rows[-1]["loss"]
+        if self.log:
+            self.log.steps(rows)
+        mean = np.mean([row["loss"] for row in rows])
+        self.tick(values[-1][0], self.config.steps, f"loss {mean:.5f}, {rate:.0f} images/s")
+
+    def _save(self, *, validate: bool) -> None:
+        self._flush()
+        psnr = None
+        if validate:
+            found = self.validate(self.state)
+            self.validation, psnr = found, found["psnr"]
+            if self.log:
+                self.log.validation({"step": int(self.state.step), **found})
+        self.checkpoints.save(self.state, psnr)
+        self.rate.pause()
+
+    def _finish(self, done: int) -> TrainResult:
+        best = self.checkpoints.best
+        device = self.mesh.devices.flat[0]
+        result = TrainResult(
+            run=self.run,
+            step=done,
+            finished=done >= self.config.steps,
+            loss=self.loss,
+            validation=self.validation,
+            best=None if best is None else {"step": best[0], "psnr": best[1]},
+            parameters=count_parameters(self.model),
+            devices=f"{self.mesh.size} x {device.device_kind}",
+            images_per_second=round(self.rate.mean, 2),
+            seconds=round(time.perf_counter() - self.clock, 2),
+            skipped=self.images.skipped,
+            state=self.state,
+        )
+        self.checkpoints.close()
+        if self.log:
+            self.log.close()
+            data = f"{len(self.images.names)} files of {', '.join(self.config.clean)}"
+            write_card(self.run, self.config, self.recipe, result.as_dict(), data)
+        return result
+
+
+def build_model(config: TrainConfig) -> nnx.Module:
+    """The network of a run with fresh weights."""
+    options = dict(config.model_options)
+    if config.bf16:
+        options["dtype"] = jax.numpy.bfloat16
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
+    return make_model(config.model, seed=config.seed, **options)
+
+
+def _split(images: CleanImages, held_out: int) -> tuple[CleanImages, CleanImages]:
+    """Photographs to train on and to validate on; a lone one is both."""
+    count = len(images.images)
+    wanted = max(1, count // 10) if held_out < 0 else held_out
+    if count == 1 or wanted == 0:
+        return images, images
+    if wanted >= count:
+        raise InputError(f"held_out = {wanted}: there are only {count} photographs")
+    return images.split(wanted)
+
+
+class _Rate:
+    """Images a second, of steps alone: compiling, validating and saving left out."""
+
+    def __init__(self, batch: int) -> None:
+        self.batch, self.steps, self.seconds, self.first = batch, 0, 0.0, True
+
+    def start(self, step: int) -> None:
+        self.step, self.clock = step, time.perf_counter()
+
+    def lap(self, step: int) -> float:
+        count, seconds = step - self.step, time.perf_counter() - self.clock
+        if not self.first:
+            self.steps, self.seconds = self.steps + count, self.seconds + seconds
+        self.first = False
+        self.start(step)
+        return count * self.batch / max(seconds, 1e-9)
+
+    def pause(self) -> None:
+        self.clock = time.perf_counter()
+
+    @property
+    def mean(self) -> float:
+        return self.steps * self.batch / self.seconds if self.seconds else 0.0
+
+
+class _Signals:
+    """Takes SIGINT and SIGTERM as a wish to stop; a second SIGINT interrupts at once."""
+
+    came = False
+
+    def __enter__(self) -> "_Signals":
+        self._before: dict[int, Any] = {}
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def _note(self, number: int, frame: Any) -> None:
+        self.came = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def __exit__(self, *_: Any) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

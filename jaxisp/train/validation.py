@@ -1,0 +1,64 @@
+"""Validation on a fixed simulated set: the same crops, parameters and noise each time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jax.sharding import Mesh
+
+from jaxisp.data.clean import CleanImages
+from jaxisp.data.sources import CleanPatches
+from jaxisp.recipe import Recipe
+from jaxisp.stages.transfer import srgb_eotf
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.devices import spread
+from jaxisp.train.step import LOSSES, State, degrader, split_model, weights
+
+Validate = Callable[[State], dict[str, float]]
+
+
+def make_validation(
+    model: nnx.Module, recipe: Recipe, config: TrainConfig, images: CleanImages, mesh: Mesh
+) -> Validate:
+    """`validate(state) -> {"loss", "psnr", "psnr_in"}`, means over `config.validation` patches (rounded
+    up to whole batches) of photographs held out, with the averaged weights."""
+    key = jax.random.fold_in(jax.random.key(config.seed), 1)
+    measure = _measure(model, degrader(recipe, key, mesh), config)
+    batches = -(-config.validation // config.batch)
+    per_image = -(-batches * config.batch // len(images.images))
+    source = CleanPatches(
+        images, config.patch, per_image=per_image, seed=config.seed, fresh=False, augment=False
+    )
+
+    def validate(state: State) -> dict[str, float]:
+        totals: dict[str, float] = {}
+        for start in range(0, batches * config.batch, config.batch):
+            clean = spread(mesh, source, range(start, start + config.batch))
+            for name, value in measure(weights(state), clean, start).items():
+                totals[name] = totals.get(name, 0.0) + float(value) / batches
+        return totals
+
+    return validate
+
+
+def _measure(model: nnx.Module, degrade: Any, config: TrainConfig) -> Any:
+    graph, _, _ = split_model(model, train=False)
+
+    @jax.jit
+    def measure(used: Any, clean: jax.Array, start: Any) -> dict[str, jax.Array]:
+        noisy = degrade(clean, start + jnp.arange(len(clean)))
+        if config.light == "linear":
+            noisy, clean = srgb_eotf(noisy), srgb_eotf(clean)
+        output = nnx.merge(graph, *used)(noisy)
+        loss = LOSSES[config.loss](output - clean).mean()
+        return {"loss": loss, "psnr": _psnr(output, clean), "psnr_in": _psnr(noisy, clean)}
+
+    return measure
+
+
+def _psnr(images: jax.Array, clean: jax.Array) -> jax.Array:
+    """The mean over (N, H, W, 3) images, cut to [0, 1] [dB]."""
+    mse = ((jnp.clip(images, 0, 1) - clean) ** 2).mean(axis=(1, 2, 3))
+    return -10 * jnp.log10(jnp.maximum(mse, 1e-12)).mean()

@@ -1,0 +1,160 @@
+"""Networks: parameter counts of the papers, shapes, tiles without seams, neighbours against a plain loop."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import nnx
+
+from jaxisp.errors import InputError
+from jaxisp.models import MODELS, count_parameters, denoise, make_model
+from jaxisp.models.ffdnet import estimate_noise
+from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
+from jaxisp.models.n3net import N3Block, _candidates
+
+SMALL = {
+    "fast": {"depth": 3, "features": 8},
+    "dncnn6": {"features": 8},
+    "dncnn17": {"features": 8, "depth": 4},
+    "ffdnet": {"depth": 3, "features": 8},
+    "nafnet": {"features": 4, "encoder": (1, 1), "middle": 1},
+    "n3net": {"depth": 3, "features": 8, "patch": 4, "stride": 2, "window": 3, "neighbors": 2},
+    "n3net-stripped": {"depth": 3, "features": 8, "patch": 4, "stride": 2, "window": 3, "neighbors": 2},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "published"),
+    [
+        ("dncnn17", {"channels": 1}, 556_000),  # DnCNN, as N3Net's paper counts it
+        ("dncnn17", {"channels": 3}, 558_000),
+        ("ffdnet", {}, 852_108),  # the released colour weights
+        ("ffdnet", {"channels": 1, "depth": 15, "features": 64}, 485_316),
+        # each of their networks holds a batch norm of 2 x 64 numbers that is never applied: seven
+        ("n3net", {"channels": 1}, 706_000 - 7 * 128),
+        ("n3net-stripped", {}, 530_901 - 3 * 128),
+    ],
+)
+def test_parameter_counts_are_the_papers(name, options, published):
+    count = count_parameters(nnx.eval_shape(lambda: make_model(name, **options)))
+    # counts printed in thousands are good to half of one
+    assert abs(count - published) <= (500 if published % 1000 == 0 or name == "n3net" else 0)
+
+
+def run(model, *arguments):
+    """In one compile: op by op takes longer."""
+    graph, state = nnx.split(model)
+    return jax.jit(lambda s, *a: nnx.merge(graph, s)(*a))(state, *arguments)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_any_size_keeps_its_shape(name):
+    model = make_model(name, **SMALL[name])
+    noisy = jax.random.uniform(jax.random.key(0), (2, 13, 17, 3))
+    out = run(model, noisy)
+    assert out.shape == noisy.shape and out.dtype == jnp.float32 and bool(jnp.isfinite(out).all())
+    half = make_model(name, dtype=jnp.bfloat16, **SMALL[name])
+    graph, state = nnx.split(half)
+    assert jax.eval_shape(lambda s, x: nnx.merge(graph, s)(x), state, noisy).dtype == jnp.float32
+    assert {p.dtype for p in jax.tree.leaves(nnx.state(half, nnx.Param))} == {jnp.dtype("float32")}
+
+
+def test_unknown_names_and_options_are_refused():
+    with pytest.raises(InputError, match="no model named 'unet'; there are fast"):
+        make_model("unet")
+    with pytest.raises(InputError, match=r"'fast'.*nonsense"):
+        make_model("fast", nonsense=1)
+
+
+def test_pixel_shuffle_undoes_unshuffle():
+    x = jax.random.uniform(jax.random.key(0), (1, 4, 6, 3))
+    small = pixel_unshuffle(x, 2)
+    np.testing.assert_array_equal(pixel_shuffle(small, 2), x)
+    np.testing.assert_array_equal(small[0, 1, 2, 3:6], x[0, 2, 5])  # the pixel to the right, after the first
+
+
+@pytest.mark.parametrize(("name", "tile"), [("fast", 24), ("dncnn6", 20)])
+@pytest.mark.parametrize("size", [(40, 61), (9, 33)])
+def test_tiles_give_the_whole_picture(name, tile, size, rng):
+    model = make_model(name, **SMALL[name])
+    image = rng.random((*size, 3), np.float32)
+    whole = denoise(model, image)
+    assert whole.shape == image.shape and np.abs(whole - image).max() > 0.01
+    np.testing.assert_allclose(denoise(model, image, tile=tile), whole, atol=1e-6)
+
+
+def test_a_tile_within_reach_is_refused(rng):
+    with pytest.raises(ValueError, match="too small for a network that looks 8 px far"):
+        denoise(make_model("fast", **SMALL["fast"]), rng.random((40, 40, 3)), tile=16)
+
+
+def test_blended_tiles_have_weights_that_sum_to_one(rng):
+    image = rng.random((37, 50, 3), np.float32)
+    fresh = make_model("nafnet", **SMALL["nafnet"])  # before training it is the identity
+    np.testing.assert_allclose(denoise(fresh, image, tile=16), image, atol=1e-6)
+
+
+def test_denoise_uses_running_averages_and_leaves_the_model(rng):
+    model = make_model("dncnn6", **SMALL["dncnn6"])
+    before = jax.tree.map(np.asarray, nnx.state(model, nnx.BatchStat))
+    image = rng.random((20, 20, 3), np.float32)
+    denoise(model, image)
+    jax.tree.map(np.testing.assert_array_equal, before, nnx.state(model, nnx.BatchStat))
+    model.eval()
+    np.testing.assert_allclose(denoise(model, image), model(image[None])[0], atol=1e-6)
+
+
+def test_the_noise_level_is_found_and_used(rng):
+    y, x = np.mgrid[:64, :48] / 64
+    clean = np.stack([y, x, y + x], -1)[None] / 2
+    noise = 0.05 * rng.standard_normal(clean.shape)
+    assert float(estimate_noise(jnp.asarray(clean + noise))[0]) == pytest.approx(0.05, rel=0.05)
+    model = make_model("ffdnet", **SMALL["ffdnet"])
+    low, high = (run(model, jnp.asarray(clean, jnp.float32), jnp.array([level])) for level in (0.0, 0.5))
+    assert np.abs(low - high).max() > 1e-3
+
+
+def plain_neighbors(x, patch, stride, window, count):
+    """Relaxed nearest neighbours of one image by loops; temperature 1, features as they are."""
+    rows = range(0, x.shape[0] - patch + 1, stride)
+    columns = range(0, x.shape[1] - patch + 1, stride)
+    grid = [(i, j) for i in range(len(rows)) for j in range(len(columns))]
+    patches = {p: x[rows[p[0]] :, columns[p[1]] :][:patch, :patch] for p in grid}
+    sums, hits = np.zeros((count, *x.shape)), np.zeros(x.shape)
+    half = window // 2
+    for p in grid:
+        center = [np.clip(c, half, max(n - 1 - half, half)) for c, n in zip(p, (len(rows), len(columns)))]
+        others = [q for q in grid if q != p and all(abs(a - b) <= half for a, b in zip(q, center))]
+        logits = np.array([-((patches[p] - patches[q]) ** 2).sum() for q in others])
+        place = np.s_[rows[p[0]] : rows[p[0]] + patch, columns[p[1]] : columns[p[1]] + patch]
+        hits[place] += 1
+        for k in range(count):
+            weights = np.exp(logits - logits.max())
+            weights /= weights.sum()
+            sums[k][place] += sum(w * patches[q] for w, q in zip(weights, others))
+            logits = logits + np.log(np.maximum(1 - weights, 1e-6))
+    return np.concatenate([x] + [s / hits - x for s in sums], axis=-1)
+
+
+@pytest.mark.parametrize("window", [3, 15])
+def test_neighbors_are_those_of_a_plain_loop(window, rng):
+    x = rng.random((10, 13, 2))
+    block = N3Block(2, embedding=None, neighbors=3, patch=4, stride=3, window=window, rngs=nnx.Rngs(0))
+    got = run(block, jnp.asarray(x[None], jnp.float32))[0]
+    np.testing.assert_allclose(got, plain_neighbors(x, 4, 3, window, 3), atol=2e-5)
+
+
+def test_a_patch_of_the_paper_has_224_candidates():
+    allowed = _candidates((15, 15), 15)
+    assert (allowed.sum(1) == 224).all()
+    assert (_candidates((20, 17), 15).sum(1) == 224).all()  # moved inside at the border
+    assert N3Block(rngs=nnx.Rngs(0)).outputs == 64
+
+
+def test_embedding_and_temperature_have_gradients():
+    model = make_model("n3net", **SMALL["n3net"])
+    noisy = jax.random.uniform(jax.random.key(0), (1, 10, 12, 3))
+    gradients = nnx.jit(nnx.grad(lambda m: ((m(noisy) - 0.5) ** 2).mean()))(model)
+    for part in ("embed", "temperature"):
+        total = sum(float(jnp.abs(g).sum()) for g in jax.tree.leaves(gradients["matchers"][0][part]))
+        assert np.isfinite(total) and total > 0

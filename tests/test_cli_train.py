@@ -1,0 +1,96 @@
+"""`jaxisp train`, `denoise` and `evaluate`: results, exit codes, one line for each fault."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxisp.cli import main
+from jaxisp.io import read_image
+from tests.conftest import smooth_image
+
+SMALL = (
+    "--steps", 2, "--batch", 1, "--patch", 16, "--downsample", 2, "--validation", 1, "--checkpoint-every", 1,
+    "--warmup", 0,
+)  # fmt: skip
+
+
+def run(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+@pytest.fixture
+def clean(tmp_path):
+    folder = tmp_path / "clean"
+    folder.mkdir()
+    for i in range(2):
+        Image.fromarray(np.uint8(255 * smooth_image((40, 48, 3), i))).save(folder / f"{i}.png")
+    return folder
+
+
+def test_train_denoise_evaluate(capsys, clean, tmp_path):
+    (clean / "bad.png").write_bytes(b"no picture")
+    trained, out = tmp_path / "run", tmp_path / "out"
+    status, text, err = run(
+        capsys,
+        "train",
+        "--clean",
+        clean,
+        "--recipe",
+        "awgn",
+        "--model",
+        "fast",
+        "-o",
+        trained,
+        *SMALL,
+        "--json",
+    )
+    result = json.loads(text)
+    assert status == 0 and result["finished"] and result["step"] == 2
+    assert "bad.png" in err and result["skipped"][0]["file"].endswith("bad.png")
+    status, text, _ = run(capsys, "train", "-o", trained, "--resume", "--steps", 3, "--json")
+    assert status == 0 and json.loads(text)["step"] == 3
+    status, _, err = run(capsys, "train", "-o", trained, "--resume", "--lr", 0.5)
+    assert status == 2 and "was begun with lr = 0.001" in err
+
+    status, text, _ = run(capsys, "degrade", clean / "0.png", "-o", tmp_path / "pairs", "--recipe", "awgn")
+    noisy = tmp_path / "pairs" / "0_000.noisy.png"
+    status, text, _ = run(capsys, "denoise", "--run", trained, noisy, "-o", out, "--json")
+    assert status == 0 and json.loads(text)["images"] == 1
+    assert read_image(out / "0_000.noisy.png").shape == (40, 48, 3)
+
+    status, text, _ = run(capsys, "evaluate", "--run", trained, tmp_path / "pairs", "--json")
+    result = json.loads(text)
+    assert status == 0 and {"pairs", "mean", "aligned", "normalised"} <= set(result)
+    figures = {"psnr_in", "ssim_in", "psnr", "ssim"}
+    assert figures == set(result["mean"]) and figures | {"name"} <= set(result["pairs"][0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("train", "--recipe", "awgn", "-o", "RUN"), "needs --clean"),
+        (("train", "--clean", "CLEAN", "-o", "RUN"), "needs --recipe"),
+        (("train", "--clean", "MISSING", "--recipe", "awgn", "-o", "RUN"), "missing"),
+        (("train", "--clean", "CLEAN", "--recipe", "noise", "-o", "RUN"), "no recipe named 'noise'"),
+        (("train", "--clean", "CLEAN", "--recipe", "awgn", "--model", "unet", "-o", "RUN"), "no model named"),
+        (
+            ("train", "--clean", "CLEAN", "--recipe", "awgn", "--loss", "l3", "-o", "RUN"),
+            "expected one of l1",
+        ),
+        (
+            ("train", "--clean", "CLEAN", "--recipe", "awgn", "--patch", 64, "-o", "RUN"),
+            "smaller than a patch",
+        ),
+        (("train", "--resume", "-o", "RUN"), "or --resume with a run"),
+        (("denoise", "--run", "MISSING", "CLEAN", "-o", "RUN"), "holds no run"),
+        (("evaluate", "--run", "MISSING", "CLEAN"), "holds no run"),
+    ],
+)
+def test_unusable_calls_are_one_line_and_status_2(capsys, clean, tmp_path, arguments, message):
+    places = {"CLEAN": clean, "RUN": tmp_path / "run", "MISSING": tmp_path / "missing"}
+    status, out, err = run(capsys, *(places.get(a, a) for a in arguments))
+    assert status == 2 and not out and err.count("\n") == 1 and message in err

@@ -1,0 +1,241 @@
+"""Runs: stopped and resumed to the same bits, killed, short of disk, two at once, over two processes."""
+
+import csv
+import dataclasses
+import fcntl
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxisp.errors import InputError
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import RECIPES
+from jaxisp.train import TrainConfig, load_denoiser, train
+from jaxisp.train.checkpoints import Checkpoints, fingerprint
+from jaxisp.train.logs import read_rows
+from jaxisp.train.step import LOSSES
+from tests.conftest import smooth_image
+
+SMALL = {
+    "recipe": "awgn", "model": "dncnn6", "model_options": {"depth": 3, "features": 16}, "steps": 4,
+    "batch": 2, "patch": 12, "downsample": 1, "validation": 2, "warmup": 1, "log_every": 1,
+    "checkpoint_every": 3,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clean")
+    for i in range(3):
+        Image.fromarray(np.uint8(255 * smooth_image((20, 24, 3), i))).save(folder / f"{i}.png")
+    (folder / "broken.jpg").write_bytes(b"not a picture")
+    return TrainConfig(clean=(str(folder),), **SMALL)
+
+
+@pytest.fixture(scope="module")
+def whole(config, tmp_path_factory):
+    """A run that nothing interrupts."""
+    return train(config, tmp_path_factory.mktemp("runs") / "whole")
+
+
+@pytest.fixture(scope="module")
+def stopped(config, whole):
+    """The same run, interrupted after two steps."""
+    handler = signal.getsignal(signal.SIGINT)
+    result = train(config, whole.run.parent / "stopped", tick=interrupt_at(2))
+    assert result.step == 2 and not result.finished
+    assert signal.getsignal(signal.SIGINT) == handler
+    return result.run
+
+
+def interrupt_at(step):
+    def tick(done, total, text):
+        if "loss" in text and done == step:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return tick
+
+
+def curve(run):
+    return [(row["step"], row["loss"], row["grad_norm"], row["lr"]) for row in read_rows(run / "log.csv")]
+
+
+def test_a_run_is_recorded(config, whole):
+    assert whole.finished and whole.step == 4 and whole.devices.startswith("2 x ")
+    assert TrainConfig.load(whole.run / "config.toml") == config
+    assert Recipe.load(whole.run / "recipe.toml") == RECIPES["awgn"]()
+    assert [row[0] for row in curve(whole.run)] == ["1", "2", "3", "4"]
+    validations = read_rows(whole.run / "validation.csv")
+    assert [v["step"] for v in validations] == ["3", "4"]
+    assert whole.best["psnr"] == max(float(v["psnr"]) for v in validations)
+    assert len(whole.skipped) == 1 and "broken.jpg" in whole.skipped[0][0]
+    card = (whole.run / "MODEL_CARD.md").read_text()
+    for fact in (
+        "dncnn6",
+        "`awgn`",
+        "4 of 4 steps",
+        "seed 0",
+        "gaussian_noise",
+        f"{whole.best['psnr']:.2f} dB",
+    ):
+        assert fact in card
+    events = list((whole.run / "tensorboard").iterdir())
+    assert any(b"train/loss" in e.read_bytes() and b"validation/psnr" in e.read_bytes() for e in events)
+
+
+def test_interrupted_and_resumed_is_the_uninterrupted_run(config, whole, stopped, tmp_path):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    assert Checkpoints(run).steps() == [2] and curve(run) == curve(whole.run)[:2]
+    assert "stopped before its end" in (run / "MODEL_CARD.md").read_text()
+    with (run / "log.csv").open("a") as file:  # rows of steps that were lost, and one cut off
+        file.write("3,0,9.9,9.9,9.9,1\n4,0,")
+    with pytest.raises(InputError, match="holds a run already"):
+        train(config, run)
+    rest = train(config, run, resume=True)
+    assert rest.finished and fingerprint(rest.state) == fingerprint(whole.state)
+    assert curve(run) == curve(whole.run)
+    assert (run / "validation.csv").read_bytes() == (whole.run / "validation.csv").read_bytes()
+    assert "stopped" not in (run / "MODEL_CARD.md").read_text()
+
+
+def test_another_configuration_or_recipe_does_not_go_on(config, whole):
+    for change, recipe, message in (
+        ({"lr": 0.5}, None, "was begun with lr = 0.001"),
+        ({}, RECIPES["amwgn"](), "another recipe"),
+    ):
+        with pytest.raises(InputError, match=message):
+            train(dataclasses.replace(config, **change), whole.run, recipe=recipe, resume=True)
+
+
+def test_a_finished_run_that_is_resumed_stays(config, whole):
+    again = train(config, whole.run, resume=True)
+    assert again.finished and fingerprint(again.state) == fingerprint(whole.state)
+
+
+def test_two_runs_into_one_folder_are_refused(config, tmp_path):
+    with (tmp_path / ".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="another process is training"):
+            train(config, tmp_path)
+
+
+def test_a_full_disk_is_one_error_and_the_last_checkpoint_stands(config, stopped, tmp_path):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, limits[1]))  # a checkpoint has files larger than this
+    try:
+        with pytest.raises(InputError, match=r"step 3 cannot be written.*step 2 is intact"):
+            train(config, run, resume=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert load_denoiser(run, "last")[1] == config and Checkpoints(run).steps() == [2]
+
+
+def test_a_loss_that_is_no_number_stops_before_a_checkpoint(config, tmp_path, monkeypatch):
+    monkeypatch.setitem(LOSSES, "l2", lambda x: x * np.nan)
+    with pytest.raises(InputError, match="the loss is nan at step 1"):
+        train(dataclasses.replace(config, loss="l2"), tmp_path)
+    assert not Checkpoints(tmp_path).steps()
+
+
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(config, whole):
+    run = whole.run.parent / "damaged"
+    shutil.copytree(whole.run, run)
+    assert Checkpoints(run).steps() == [3, 4]
+    shutil.rmtree(run / "checkpoints" / "last" / "4" / "state")
+    rest = train(config, run, resume=True)
+    assert fingerprint(rest.state) == fingerprint(whole.state)
+
+
+KILLED = """
+import os, signal, sys
+from jaxisp.train import TrainConfig, train
+rename = os.rename
+def killing(source, target, **options):  # a checkpoint takes its name by it
+    if os.path.basename(str(target)) == "3" and "last" in str(target):
+        os.kill(os.getpid(), signal.SIGKILL)
+    rename(source, target, **options)
+os.rename = killing
+train(TrainConfig.load(sys.argv[1]), sys.argv[2], resume=True)
+"""
+
+
+def test_a_kill_within_a_checkpoint_loses_no_good_one(config, whole, stopped, tmp_path):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    config.save(tmp_path / "config.toml")
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, tmp_path / "config.toml", run], capture_output=True, text=True
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert any("3" in p.name for p in (run / "checkpoints" / "last").iterdir())  # it was being written
+    assert Checkpoints(run).steps() == [2]
+    rest = train(config, run, resume=True)
+    assert fingerprint(rest.state) == fingerprint(whole.state)
+    assert curve(run) == curve(whole.run)
+
+
+def test_two_processes_give_the_curve_of_one(config, whole, tmp_path):
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    config.save(tmp_path / "config.toml")
+    code = """
+import sys, jax
+jax.config.update("jax_num_cpu_devices", 1)
+jax.distributed.initialize(sys.argv[1], 2, int(sys.argv[2]))
+from jaxisp.train import TrainConfig, train
+result = train(TrainConfig.load(sys.argv[3]), sys.argv[4])
+assert result.devices.startswith("2 x "), result.devices
+"""
+    environment = {**os.environ, "XLA_FLAGS": ""}
+    places = (tmp_path / "config.toml", tmp_path / "run")
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, f"127.0.0.1:{port}", str(i), *places],
+            env=environment, stderr=subprocess.PIPE, text=True,
+        )
+        for i in range(2)
+    ]  # fmt: skip
+    errors = [p.communicate(timeout=120)[1] for p in processes]
+    assert [p.returncode for p in processes] == [0, 0], errors
+    got, wanted = (np.array(curve(r), float) for r in (tmp_path / "run", whole.run))
+    np.testing.assert_allclose(got[:, 1], wanted[:, 1], rtol=2e-5)
+    with (tmp_path / "run" / "validation.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 2
+
+
+def test_a_run_denoises(config, whole, rng):
+    image = rng.random((15, 21, 3), np.float32)
+    outputs = {}
+    for which in ("best", "last"):
+        denoiser, read = load_denoiser(whole.run, which)
+        outputs[which] = denoiser(image)
+        assert read == config and outputs[which].shape == image.shape
+        assert outputs[which].min() >= 0 and outputs[which].max() <= 1
+    np.testing.assert_array_equal(load_denoiser(whole.run, "last")[0](image), outputs["last"])
+    with pytest.raises(InputError, match="holds no run"):
+        load_denoiser(whole.run / "checkpoints")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('clean = ["x"]', "says no recipe"),
+        ('clean = ["x"]\nrecipe = "awgn"\nlearning = 1', "no 'learning'"),
+        ('clean = ["x"]\nrecipe = "awgn"\nsteps = "many"', "steps = 'many': expected int"),
+        ('clean = ["x"]\nrecipe = "awgn"\nema = 1', "ema = 1.0"),
+        ('clean = ["x"]\nrecipe = "awgn"\nloss = "l3"', "expected one of l1"),
+    ],
+)
+def test_a_bad_configuration_is_named(tmp_path, text, message):
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(InputError, match=rf"c\.toml: .*{message}"):
+        TrainConfig.load(tmp_path / "c.toml")
