@@ -1,0 +1,138 @@
+"""Camera bodies: what each sensor and its processing are when nothing is withheld.
+
+A body is black level, gains, one matrix, one tone curve, a demosaicker and Poisson-plus-read noise, then an
+encoder. The bodies differ in all of it, in the order of operations and in what they do at the border.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from .numeric import srgb_encode
+
+Curve = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Electrons at white, read noise in electrons, and the shape of the read noise."""
+
+    full_well: float
+    read: float
+    reach: float = 0.0  # correlation between neighbours, Gaussian sigma in pixels
+    freedom: float = np.inf  # Student's degrees of freedom
+
+
+@dataclass(frozen=True)
+class Body:
+    name: str
+    cfa: str
+    bits: int
+    black: float
+    gains: tuple[float, float, float]
+    matrix: np.ndarray = field(repr=False)  # balanced camera colours to linear sRGB
+    curve: Curve = field(repr=False)
+    demosaicker: str
+    other_demosaicker: str
+    quality: int
+    sampling: str = "4:4:4"
+    encoder: str = "pillow"
+    order: str = "balance-first"  # or "balance-last": gains after demosaicking
+    border: str = "reflect"
+    exposure: float = 0.9  # share of the RAW range that the scene's white fills in green
+    spot: float = 0.5  # lens and pixel aperture, Gaussian sigma in pixels; part of the scene it is shown
+    luma_share: float = 0.0  # share of the tone curve that acts on luma rather than on each channel
+    intermediate_bits: int = 16
+    sign: int = 1  # which way effects with two directions go
+    bright: Noise = Noise(12000.0, 3.0)
+    dim: Noise = Noise(1500.0, 8.0)
+    standing: tuple[str, ...] = ()  # what a simulator without this body's demosaicker misses from the start
+
+    @property
+    def white(self) -> float:
+        return float(2**self.bits - 1)
+
+    def noise(self, kind: str) -> Noise:
+        return self.bright if kind == "raw+jpeg" else self.dim
+
+
+def power_with_s(x: np.ndarray) -> np.ndarray:
+    y = np.power(np.clip(x, 1e-6, 1), 1 / 2.2)
+    return y + 0.15 * (y * y * (3 - 2 * y) - y)
+
+
+def srgb_with_shoulder(x: np.ndarray) -> np.ndarray:
+    y = srgb_encode(1.2 * np.clip(x, 0, 1))
+    knee, top = 0.7, float(srgb_encode(np.array(1.2)))
+    span = (np.clip(y, knee, top) - knee) / (top - knee)
+    slope = (top - knee) / (1 - knee)
+    bent = knee + (1 - knee) * (1 - (1 - span) ** slope)
+    return np.where(y > knee, bent, y)
+
+
+def filmic(x: np.ndarray) -> np.ndarray:
+    """A ratio of quadratics with its encoding in it, scaled to end at one."""
+
+    def ratio(v: np.ndarray | float) -> np.ndarray | float:
+        return v * (6.2 * v + 0.5) / (v * (6.2 * v + 1.7) + 0.06)
+
+    return np.asarray(ratio(np.clip(x, 0, 1) * 1.4)) / ratio(1.4)
+
+
+_KNOTS = np.array([0, 0.002, 0.01, 0.03, 0.08, 0.18, 0.35, 0.6, 0.85, 1.0])
+_VALUES = np.array([0, 0.02, 0.09, 0.185, 0.325, 0.485, 0.65, 0.82, 0.945, 1.0])
+_PIECES = PchipInterpolator(_KNOTS, _VALUES)
+
+
+def piecewise(x: np.ndarray) -> np.ndarray:
+    return _PIECES(np.clip(x, 0, 1))
+
+
+def broadcast_with_s(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0, 1)
+    y = np.where(x < 0.018, 4.5 * x, 1.099 * np.power(np.maximum(x, 1e-6), 0.45) - 0.099)
+    return y + 0.05 * np.sin(np.pi * y) ** 2
+
+
+def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
+    matrix = np.array(rows)
+    return matrix / matrix.sum(axis=1, keepdims=True)
+
+
+BODIES = {
+    body.name: body
+    for body in (
+        Body(
+            "alder", "RGGB", 10, 64.0, (1.9, 1.0, 1.6),
+            _matrix((1.5, -0.4, -0.1), (-0.2, 1.4, -0.2), (0.0, -0.4, 1.4)),
+            power_with_s, "bilinear", "hamilton-adams", 95,
+        ),
+        Body(
+            "birch", "BGGR", 12, 256.0, (2.2, 1.0, 1.4),
+            _matrix((1.7, -0.6, -0.1), (-0.25, 1.5, -0.25), (0.05, -0.55, 1.5)),
+            srgb_with_shoulder, "malvar", "bilinear", 93,
+            encoder="opencv", order="balance-last", border="cells", sign=-1, exposure=0.8, spot=0.45,
+        ),
+        Body(
+            "cedar", "GRBG", 14, 512.0, (1.7, 1.0, 2.0),
+            _matrix((1.4, -0.25, -0.15), (-0.3, 1.6, -0.3), (-0.05, -0.3, 1.35)),
+            filmic, "edge-aware", "bilinear", 92, sampling="4:2:0", border="own",
+            bright=Noise(20000.0, 4.0), dim=Noise(2200.0, 10.0), standing=("demosaicking",),
+        ),
+        Body(
+            "dogwood", "GBRG", 12, 128.0, (2.0, 1.0, 1.8),
+            _matrix((1.6, -0.5, -0.1), (-0.15, 1.3, -0.15), (0.0, -0.5, 1.5)),
+            piecewise, "variable-gradients", "malvar", 94, sampling="4:2:2", encoder="opencv",
+            order="balance-first", sign=-1, intermediate_bits=14, spot=0.55,
+            bright=Noise(9000.0, 2.0), dim=Noise(1200.0, 6.0), standing=("demosaicking",),
+        ),
+        Body(
+            "elder", "RGGB", 12, 200.0, (1.8, 1.0, 1.7),
+            _matrix((1.55, -0.4, -0.15), (-0.2, 1.45, -0.25), (0.02, -0.42, 1.4)),
+            broadcast_with_s, "hamilton-adams", "malvar", 96, order="balance-last", exposure=0.85,
+            luma_share=0.04, sign=-1, bright=Noise(15000.0, 5.0), dim=Noise(1800.0, 12.0),
+        ),
+    )
+}  # fmt: skip

@@ -1,0 +1,179 @@
+"""Run a diagnosis on many withheld cases and keep what it said.
+
+    python -m experiments.withheld.study --kind raw+jpeg --split develop --out docs/results/gap-develop.json
+
+A run that was broken off goes on where it stopped. `tables` turns the file into Markdown.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+import traceback
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from .bodies import BODIES
+from .effects import DEVELOP, KINDS, LEVELS, NULLS, OUTSIDE, PAIRS, SEALED, shows_in
+from .scenes import SETS
+from .shoot import write
+
+Report = dict[str, Any]
+Diagnose = Callable[[Path], Report]
+SPLITS = ("develop", "sealed", "nulls", "outside", "pairs")
+SCENES = {"develop": "one", "sealed": "two", "outside": "three", "pairs": "three"}
+
+
+@dataclass(frozen=True)
+class Case:
+    kind: str
+    split: str
+    body: str
+    effects: tuple[tuple[str, int], ...]
+    scenes: str
+
+    @property
+    def name(self) -> str:
+        what = "+".join(f"{name}={level}" for name, level in self.effects)
+        return f"{self.kind} {self.split} {self.scenes} {self.body} {what}"
+
+
+def cases(
+    kind: str, split: str, bodies: Sequence[str], levels: Sequence[int], scenes: str = ""
+) -> Iterator[Case]:
+    """All cases of a split; nulls come on every scene set, a body's own nothing among them."""
+    if split == "nulls":
+        for name in NULLS:
+            if shows_in(name, kind):
+                for where in [scenes] if scenes else SETS:
+                    yield from (Case(kind, split, body, ((name, 1),), where) for body in bodies)
+        return
+    names: dict[str, Sequence[tuple[str, ...]]] = {
+        "develop": [(name,) for name in DEVELOP],
+        "sealed": [(name,) for name in SEALED],
+        "outside": [(name,) for name in OUTSIDE],
+        "pairs": PAIRS,
+    }
+    for group in names[split]:
+        if all(shows_in(name, kind) for name in group):
+            for level in levels:
+                for body in bodies:
+                    active = tuple((name, level) for name in group)
+                    yield Case(kind, split, body, active, scenes or SCENES[split])
+
+
+def shuffled(found: Sequence[Case]) -> list[Case]:
+    """A fixed order that mixes effects and bodies, so that a part of a run is a fair sample."""
+    return sorted(found, key=lambda case: zlib.crc32(case.name.encode()))
+
+
+def examine(case: Case, diagnose: Diagnose, size: int = 256, count: int = 8) -> dict[str, Any]:
+    """Shoot one case, diagnose it, and keep the parts of the report that the tables need."""
+    record: dict[str, Any] = {"case": case.name, **asdict(case), "standing": BODIES[case.body].standing}
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes, size, count=count)
+        began = time.perf_counter()
+        try:
+            report = diagnose(Path(folder))
+        except Exception as error:
+            return record | {"failed": repr(error), "trace": traceback.format_exc(limit=4)}
+        record["seconds"] = round(time.perf_counter() - began, 2)
+    return record | kept(report)
+
+
+def kept(report: Report) -> dict[str, Any]:
+    causes = report["causes"]
+    return {
+        "verdict": report["verdict"],
+        "causes": [c["effect"] for c in causes],
+        "alternatives": {c["effect"]: c["alternatives"] for c in causes},
+        "closed": {c["effect"]: c["closed"] for c in causes},
+        "ci": {c["effect"]: c["ci"] for c in causes},
+        "ranking": [r["effect"] for r in report["ranking"]],
+        "status": {r["effect"]: r["status"] for r in report["ranking"]},
+        "absorbed": report["base"].get("absorbed", {}),
+        "gap": report["gap"],
+        "where": [w["axis"] for w in report["where"][:3]],
+        "unexplained": report["unexplained"],
+        "own_seconds": report["seconds"],
+    }
+
+
+def true_closure(record: dict[str, Any], plain: dict[str, Any] | None) -> float | None:
+    """Share of the gap above the floor that the effect made: what is left is the same body's without it."""
+    if plain is None or "failed" in plain or "failed" in record:
+        return None
+    above = record["gap"]["before"] - record["gap"]["floor"]
+    return (record["gap"]["before"] - plain["gap"]["before"]) / above if above > 0 else None
+
+
+def run(todo: Sequence[Case], diagnose: Diagnose, out: Path, jobs: int, options: dict[str, int]) -> None:
+    """Examine every case that `out` does not hold yet; the file is whole after each."""
+    done: dict[str, Any] = json.loads(out.read_text())["cases"] if out.exists() else {}
+    left = [case for case in todo if case.name not in done or "failed" in done[case.name]]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    for record in _examined(left, diagnose, jobs, options):
+        done[record["case"]] = record
+        for other in done.values():
+            if other["split"] != "nulls":
+                other["true_closure"] = true_closure(other, done.get(_plain(other).name))
+        partial = out.with_suffix(".partial")
+        partial.write_text(json.dumps({"schema": 1, "cases": done}, indent=1))
+        partial.replace(out)
+        told = record.get("failed") or f"{record['verdict']} {record['causes']} {record['seconds']} s"
+        print(record["case"], "->", told, flush=True)
+
+
+def _examined(left: Sequence[Case], diagnose: Diagnose, jobs: int, options: dict[str, int]) -> Iterator[Any]:
+    if jobs == 1:
+        yield from (examine(case, diagnose, **options) for case in left)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        futures = [pool.submit(examine, case, diagnose, **options) for case in left]
+        yield from (future.result() for future in futures)
+
+
+def _plain(record: dict[str, Any]) -> Case:
+    return Case(record["kind"], "nulls", record["body"], (("nothing", 1),), record["scenes"])
+
+
+def chosen(arguments: argparse.Namespace) -> list[Case]:
+    """The cases asked for, each body's plain pictures first, from which the true closures are worked out."""
+    found: list[Case] = []
+    for kind in arguments.kind:
+        for split in arguments.split:
+            found += cases(kind, split, arguments.bodies, arguments.strengths, arguments.scenes)
+    found = shuffled(found)[: arguments.limit]
+    plain = {_plain(asdict(case)): None for case in found if case.split != "nulls"}
+    return list(dict.fromkeys([*plain, *found]))
+
+
+def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--split", nargs="+", choices=SPLITS, required=True)
+    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted(BODIES))
+    parser.add_argument("--strengths", nargs="+", type=int, choices=LEVELS, default=LEVELS)
+    parser.add_argument("--scenes", choices=SETS, default="", help="instead of the split's own set")
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--count", type=int, default=8, help="scenes in a data set")
+    parser.add_argument("--limit", type=int)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True)
+    return parser.parse_args(words)
+
+
+def main() -> None:
+    arguments = parse()
+    from jaxisp.gap import diagnose_folder
+
+    options = {"size": arguments.size, "count": arguments.count}
+    run(chosen(arguments), diagnose_folder, arguments.out, arguments.jobs, options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,243 @@
+"""Turn what `study` found into Markdown.
+
+    python -m experiments.withheld.tables docs/results/gap-develop.json -o docs/results/gap-develop.md
+
+Several files may be given; a case in more than one of them counts as the last has it.
+"""
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from statistics import mean, median
+from typing import Any
+
+from scipy.stats import norm
+
+from .effects import ABSORBABLE
+
+Record = dict[str, Any]
+
+
+VERDICTS = ("unknown", "none", "effect")
+
+
+def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson's score interval of a share."""
+    if total == 0:
+        return 0.0, 1.0
+    z = float(norm.ppf(0.5 + level / 2))
+    share, size = hits / total, 1 + z * z / total
+    middle = (share + z * z / (2 * total)) / size
+    half = z * (share * (1 - share) / total + z * z / (4 * total**2)) ** 0.5 / size
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def truth(record: Record) -> list[str]:
+    return [name for name, _ in record["effects"]]
+
+
+def named(record: Record) -> list[str]:
+    """The causes in their order, without what this body lacks from the start (unless that is the effect)."""
+    kept = set(truth(record))
+    return [cause for cause in record["causes"] if cause in kept or cause not in record["standing"]]
+
+
+def first_right(record: Record) -> bool:
+    return named(record)[:1] == truth(record)
+
+
+def group_right(record: Record) -> bool:
+    """The true effect is first, or it and the first cause are alternatives, whichever of them says so."""
+    true, first = truth(record)[0], (named(record) or [""])[0]
+    others = record["alternatives"]
+    return first != "" and (true in (first, *others[first]) or first in others.get(true, ()))
+
+
+def three_right(record: Record) -> bool:
+    return truth(record)[0] in record["ranking"][:3]
+
+
+def both_found(record: Record) -> bool:
+    return set(truth(record)) <= set(record["causes"])
+
+
+def taken_up(record: Record) -> bool:
+    """The baseline took the effect up, and the report says so or finds nothing missing."""
+    name = truth(record)[0]
+    said = record["status"].get(name) == "absorbed" or record["absorbed"].get(name, 0) > 0.5
+    return not named(record) and (said or record["verdict"] == "none")
+
+
+def plain_to_see(record: Record) -> bool:
+    """The gap is at least twice the floor after the baseline took up its part."""
+    return record["gap"]["before"] >= 2 * record["gap"]["floor"]
+
+
+def share(records: Iterable[Record], hit: Callable[[Record], bool]) -> str:
+    found = [hit(record) for record in records]
+    if not found:
+        return "– (0)"
+    low, high = wilson(sum(found), len(found))
+    return f"{mean(found):.0%} [{low:.0%}, {high:.0%}] ({sum(found)}/{len(found)})"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+RATES: dict[str, Callable[[Record], bool]] = {
+    "right effect first": first_right,
+    "its group first": group_right,
+    "in the first three": three_right,
+    "verdict none": lambda r: r["verdict"] == "none",
+    "verdict unknown": lambda r: r["verdict"] == "unknown",
+}
+
+
+def effects_section(records: list[Record]) -> str:
+    """Rates over single effects: all, those plain to see, and those that a baseline may take up."""
+    sure = [r for r in records if truth(r)[0] not in ABSORBABLE]
+    seen = [r for r in sure if plain_to_see(r)]
+    rows = [[name, share(sure, hit), share(seen, hit)] for name, hit in RATES.items()]
+    parts = [table(["quantity", "all strengths", "gap at least twice the floor"], rows)]
+    soft = [r for r in records if truth(r)[0] in ABSORBABLE]
+    if soft:
+        either = share(soft, lambda r: first_right(r) or taken_up(r))
+        parts.append(f"Effects that a fitted baseline may take up: named, absorbed or none: {either}.\n")
+    parts += [power(records), confusion(records), closures(records), missed(records)]
+    return "\n".join(parts)
+
+
+def power(records: list[Record]) -> str:
+    """Right effect first, by effect and strength."""
+    by: dict[str, dict[int, list[bool]]] = defaultdict(lambda: defaultdict(list))
+    for record in records:
+        name, level = record["effects"][0]
+        by[name][level].append(first_right(record))
+        by["**all**"][level].append(first_right(record))
+    levels = sorted({level for found in by.values() for level in found})
+    rows = [
+        [n, *(f"{sum(f[v])}/{len(f[v])}" if v in f else "" for v in levels)] for n, f in sorted(by.items())
+    ]
+    return "### Right effect first, by strength\n\n" + table(["effect", *map(str, levels)], rows)
+
+
+def confusion(records: list[Record]) -> str:
+    """What was named first for each true effect."""
+    by: dict[str, Counter[str]] = defaultdict(Counter)
+    for record in records:
+        by[truth(record)[0]][(named(record) or [f"({record['verdict']})"])[0]] += 1
+    rows = [
+        [true, ", ".join(f"{n} {c}" for n, c in found.most_common())] for true, found in sorted(by.items())
+    ]
+    return "### Confusion matrix, by row\n\n" + table(["true effect", "named first, times"], rows)
+
+
+def closures(records: list[Record]) -> str:
+    """Named share closed over the share that the effect made, and how often the interval holds the latter."""
+    right = [r for r in records if first_right(r) and r.get("true_closure") is not None]
+    if not right:
+        return ""
+    name = {id(r): truth(r)[0] for r in right}
+    strong = [r for r in right if r["true_closure"] > 0.1]
+    ratios = [r["closed"][name[id(r)]] / r["true_closure"] for r in strong]
+    inside = [r["ci"][name[id(r)]][0] <= r["true_closure"] <= r["ci"][name[id(r)]][1] for r in right]
+    middle = f"{median(ratios):.2f}" if ratios else "–"
+    covered = f"reducible inside the interval: {mean(inside):.0%}"
+    return f"Closed over reducible, median: {middle} ({len(ratios)}); {covered}.\n"
+
+
+def gap_of(record: Record) -> str:
+    return f"{record['gap']['before']:.3g} ({record['gap']['floor']:.3g})"
+
+
+def missed(records: list[Record]) -> str:
+    """Every case that is not right, strongest first."""
+    wrong = [r for r in records if not group_right(r) and plain_to_see(r)]
+    wrong = sorted(wrong, key=lambda r: (-r["effects"][0][1], r["case"]))
+    rows = [
+        [r["case"], r["verdict"], ", ".join(r["causes"]), ", ".join(r["ranking"][:3]), gap_of(r)]
+        for r in wrong
+    ]
+    head = ["case", "verdict", "causes", "ranking", "gap (floor)"]
+    return "### Missed, of those plain to see\n\n" + table(head, rows)
+
+
+def nulls_section(records: list[Record]) -> str:
+    """False alarms, in all and by mismatch."""
+    rows = [
+        ["**all**", share(records, lambda r: bool(named(r))), share(records, lambda r: bool(r["causes"]))]
+    ]
+    for name in sorted({truth(r)[0] for r in records}):
+        mine = [r for r in records if truth(r)[0] == name]
+        what = Counter(cause for r in mine for cause in named(r))
+        rows.append(
+            [name, share(mine, lambda r: bool(named(r))), ", ".join(f"{n} {c}" for n, c in what.items())]
+        )
+    verdicts = ", ".join(f"{v} {n}" for v, n in Counter(r["verdict"] for r in records).most_common())
+    head = ["mismatch", "false alarms", "named (first row: counting the body's own demosaicker too)"]
+    return table(head, rows) + f"\nVerdicts: {verdicts}.\n"
+
+
+def outside_section(records: list[Record]) -> str:
+    seen = [r for r in records if plain_to_see(r)]
+    rows = [[v, *(share(x, lambda r, v=v: r["verdict"] == v) for x in (records, seen))] for v in VERDICTS]
+    parts = [table(["verdict", "all strengths", "gap at least twice the floor"], rows)]
+    axes: dict[str, Counter[str]] = defaultdict(Counter)
+    for r in seen:
+        axes[truth(r)[0]].update(r["unexplained"].get("axes", [])[:2])
+    lines = [[n, ", ".join(f"{a} {c}" for a, c in found.most_common(4))] for n, found in sorted(axes.items())]
+    return "\n".join([*parts, table(["effect", "axes named for what is left"], lines), confusion(records)])
+
+
+def pairs_section(records: list[Record]) -> str:
+    one = share(records, lambda r: bool(set(truth(r)) & set(r["causes"])))
+    rows = [[r["case"], ", ".join(r["causes"]), r["verdict"]] for r in records if not both_found(r)]
+    return f"Both found: {share(records, both_found)}; at least one: {one}.\n\n" + table(
+        ["case", "causes", "verdict"], rows
+    )
+
+
+SECTIONS = {
+    "develop": ("Effects to develop on", effects_section),
+    "sealed": ("Sealed effects", effects_section),
+    "nulls": ("Nothing missing", nulls_section),
+    "outside": ("Effects outside the vocabulary", outside_section),
+    "pairs": ("Two effects at once", pairs_section),
+}
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """Sections by kind of data and split, then seconds and failures."""
+    whole = [r for r in records if "failed" not in r]
+    parts = ["# Withheld effects\n"]
+    for kind in sorted({r["kind"] for r in whole}):
+        for split, (title, section) in SECTIONS.items():
+            mine = [r for r in whole if r["kind"] == kind and r["split"] == split]
+            if mine:
+                parts.append(f"## {title}, {kind}\n\n{section(mine)}")
+    seconds = [r["seconds"] for r in whole]
+    if seconds:
+        parts.append(f"Seconds a diagnosis: median {median(seconds):.0f}, longest {max(seconds):.0f}.\n")
+    broken = [[r["case"], r["failed"]] for r in records if "failed" in r]
+    if broken:
+        parts.append("## Broken off\n\n" + table(["case", "why"], broken))
+    return "\n".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", type=Path, nargs="+")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    arguments = parser.parse_args()
+    records: dict[str, Record] = {}
+    for path in arguments.results:
+        records |= json.loads(path.read_text())["cases"]
+    arguments.out.write_text(markdown(list(records.values())))
+
+
+if __name__ == "__main__":
+    main()
