@@ -12,14 +12,23 @@ from jaxisp.recipe import Recipe
 
 def test_demo(tmp_path, capsys, monkeypatch):
     whole = jaxisp.demo.run_demo
-    monkeypatch.setattr(jaxisp.demo, "run_demo", lambda *a, **k: whole(*a, **k, steps=3))
+    monkeypatch.setattr(jaxisp.demo, "run_demo", lambda *a, **k: whole(*a, **k, steps=3, training=2))
     monkeypatch.setattr(jaxisp.demo, "SIZE", 160)
     assert main(["demo", "--out", str(tmp_path / "d"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     text = (tmp_path / "d" / "report.html").read_text()
-    for heading in ("stage by stage", "degraded patches", "before and after", "fitted camera on a RAW"):
+    for heading in (
+        "stage by stage",
+        "degraded patches",
+        "before and after",
+        "fitted camera on a RAW",
+        "A denoiser trained",
+        "What a plain camera lacks",
+    ):
         assert heading in text
     assert len(result["fit"]["pairs"]) == 2 and result["degrade"]["images"] == 8
+    assert result["train"]["step"] == 2 and result["diagnose"]["verdict"] in ("effect", "none", "unknown")
+    assert (tmp_path / "d" / "diagnosis" / "report.html").stat().st_size > 1000
     assert open_dataset(tmp_path / "d" / "degraded").kind == "clean+noisy"
     assert Recipe.load(tmp_path / "d" / "camera.toml").name == "fitted"
     assert Image.open(tmp_path / "d" / "developed-fitted.png").size == (160, 160)

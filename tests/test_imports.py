@@ -10,15 +10,18 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
-    {"errors"},
-    {"params", "domains", "numerics"},
+    {"errors", "cache"},
+    {"params", "domains", "numerics", "linear", "selfcheck"},
     {"checks", "priors", "windows", "cfa", "color", "colorimetry", "jpeg_tables", "metrics", "losses"},
+    {"registry"},
+    {"node"},
     {"pipeline", "jpeg_codec", "io"},
     {"stages", "samples"},
-    {"serialize"},
+    {"serialize", "strips"},
     {"recipe"},
     {"recipes", "camera", "report"},
-    {"catalogue", "generate", "fit"},
+    {"catalogue", "generate", "fit", "data", "models", "gap"},
+    {"train"},
     {"demo"},
     {"cli"},
 ]

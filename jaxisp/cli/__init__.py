@@ -5,10 +5,11 @@ import sys
 from collections.abc import Sequence
 
 from jaxisp import __version__
-from jaxisp.cli import degrade, demo, develop, fit, listings
+from jaxisp.cache import keep_compiled
+from jaxisp.cli import degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, train
 from jaxisp.errors import InputError
 
-_MODULES = (demo, develop, fit, degrade, listings)
+_MODULES = (demo, develop, fit, degrade, train, denoise, evaluate, diagnose, listings)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -27,6 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 (done), 2 (the call or its input is unusable) or 1 (it broke)."""
     arguments = parser().parse_args(argv)
     try:
+        if argv is None:  # the process is ours; another program that calls this has its own settings
+            keep_compiled()
         return int(arguments.run(arguments))
     except InputError as error:
         print(f"jaxisp: {' '.join(str(error).split())}", file=sys.stderr)

@@ -7,7 +7,9 @@ from jaxisp.cli.common import add_command, print_json, progress
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "demo", run, "pairs, fit, degrade, on data that comes with the package")
+    command = add_command(
+        commands, "demo", run, "pairs, fit, degrade, train, diagnose, on data that comes with the package"
+    )
     command.add_argument("--out", default="demo", metavar="DIR", help="default ./demo")
 
 

@@ -1,4 +1,4 @@
-"""`jaxisp stages` and `jaxisp recipes`: what there is."""
+"""`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: what there is."""
 
 from argparse import Namespace
 from typing import Any
@@ -8,6 +8,7 @@ from jaxisp.cli.common import add_command, print_json, print_table
 
 def add_commands(commands: Any) -> None:
     add_command(commands, "stages", run_stages, "list the stages with their parameters, bounds and units")
+    add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
     add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
 
 
@@ -27,6 +28,21 @@ def run_stages(arguments: Namespace) -> int:
     ]
     print_table(("stage", "parameter", "default", "bounds", "unit", "scale"), rows)
     print(f"{len(stages)} stages, {sum(len(s['params']) for s in stages)} parameters")
+    return 0
+
+
+def run_effects(arguments: Namespace) -> int:
+    from jaxisp.gap import EFFECTS
+
+    effects = [effect.as_dict() for effect in EFFECTS.values()]
+    if arguments.json:
+        print_json(effects)
+        return 0
+    rows = [
+        (e["name"], e["site"], " ".join(e["shows_in"]), " ".join(e["axes"]), " ".join(e["alternatives"]))
+        for e in effects
+    ]
+    print_table(("effect", "site", "shows in", "axes", "easily taken for"), rows)
     return 0
 
 

@@ -1,0 +1,50 @@
+"""`jaxisp diagnose`: where the gap between a simulated and a real camera lies, and which effect causes it."""
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from jaxisp.cli.common import add_command, print_json, print_table, progress
+
+
+def add_commands(commands: Any) -> None:
+    command = add_command(commands, "diagnose", run, "name the effects that a simulated camera lacks")
+    command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG or clean+noisy pairs")
+    command.add_argument("-o", "--out", required=True, metavar="DIR", help="for report.json and report.html")
+    command.add_argument(
+        "--camera", metavar="CAMERA.toml", help="of RAW+JPEG pairs; otherwise a plain one is fitted"
+    )
+    command.add_argument("--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs")
+    command.add_argument("--exclude", default="", metavar="EFFECT,...", help="effects that are not tried")
+
+
+def run(arguments: Namespace) -> int:
+    from jaxisp.gap import diagnose
+    from jaxisp.io import output_folder
+    from jaxisp.recipe import Recipe
+    from jaxisp.recipes import find_recipe
+
+    output_folder(Path(arguments.out))  # a fault here should not cost a diagnosis
+    camera = Recipe.load(arguments.camera) if arguments.camera else None
+    recipe = find_recipe(arguments.recipe) if arguments.recipe else None
+    exclude = [name for name in arguments.exclude.split(",") if name]
+    with progress("diagnosing") as tick:
+        found = diagnose(
+            arguments.dataset, camera, recipe=recipe, exclude=exclude, seed=arguments.seed, tick=tick
+        )
+    page = found.save(arguments.out)
+    if arguments.json:
+        print_json(found.report)
+        return 0
+    gap = found.report["gap"]
+    before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
+    print(f"verdict: {found.verdict}; gap {before} -> {after}, floor {floor}")
+    rows = [
+        (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
+         ", ".join(c["alternatives"]) or "-")
+        for c in found.report["causes"]
+    ]  # fmt: skip
+    if rows:
+        print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
+    print(f"{page} in {found.report['seconds']:.0f} s")
+    return 0

@@ -1,0 +1,6 @@
+"""The sim-to-real gap: where it lies, which unmodelled effect causes it, and how far it shrinks."""
+
+from jaxisp.gap.diagnose import Diagnosis, diagnose, diagnose_folder
+from jaxisp.gap.effects import EFFECTS, Effect, Move, register_effect
+
+__all__ = ["EFFECTS", "Diagnosis", "Effect", "Move", "diagnose", "diagnose_folder", "register_effect"]

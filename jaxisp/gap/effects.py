@@ -1,0 +1,291 @@
+"""The effects a camera may have and its simulator may lack: each a stage, switched off until it is tried.
+
+An `Effect` says which stage makes it, where in the pipeline that stage goes, and in which directions
+its parameters may move. Users add their own with `register_effect`.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from jaxisp.pipeline import Node, Stage, stage
+
+RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
+BOTH = (RAW_JPEG, CLEAN_NOISY)
+
+AXES = (
+    "radius", "row", "column", "intensity", "hue", "saturation", "channel", "frequency", "orientation",
+    "edge", "cfa_phase", "block_phase", "neighbourhood", "lag", "tail", "fixed_pattern", "frame",
+)  # fmt: skip
+
+SITES = ("scene", "mosaic", "demosaic", "camera", "linear", "encoded", "output")
+"""Where an effect can go: the scene's light, the mosaic as recorded, its demosaicking (which the effect
+replaces), demosaicked camera RGB, linear sRGB after the colour matrix, the encoded
+picture, and what the file holds."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """One parameter, or one entry of it, that the effect may change.
+
+    Attributes:
+        field: of the stage's parameters.
+        step: the probe: how far it is moved to see what it does; large enough to be seen.
+        low, high: the range of the change, from `off`.
+        index: which entry of the field; () for a number.
+        off: its value where the effect is absent; the probe starts there.
+    """
+
+    field: str
+    step: float
+    low: float
+    high: float
+    index: tuple[int, ...] = ()
+    off: float = 0.0
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a camera does that a simulator may not model.
+
+    Attributes:
+        name: of the effect and of its node in the pipeline.
+        node: the stage that makes it.
+        site: where it goes; one of `SITES`. In RAW+JPEG pairs light is seen after demosaicking only, so
+            that "scene" is then taken as "camera".
+        moves: how it may act.
+        axes: on which it shows.
+        alternatives: effects that are easily taken for it.
+        shows_in: the kinds of data that can show it.
+        contains: effects that this one can imitate in full: they are preferred to it.
+        random: it adds noise, and is seen in statistics only.
+    """
+
+    name: str
+    node: Node
+    site: str
+    moves: tuple[Move, ...]
+    axes: tuple[str, ...]
+    alternatives: tuple[str, ...] = ()
+    shows_in: tuple[str, ...] = BOTH
+    contains: tuple[str, ...] = ()
+    random: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `jaxisp effects --json` lists it."""
+        return {
+            "name": self.name,
+            "site": self.site,
+            "shows_in": list(self.shows_in),
+            "axes": list(self.axes),
+            "alternatives": list(self.alternatives),
+            "stage": next(self.node.stages()).fn.__name__,
+        }
+
+
+EFFECTS: dict[str, Effect] = {}
+
+
+def register_effect(effect: Effect) -> Effect:
+    """Add an effect to those that `diagnose` tries.
+
+    Raises:
+        ValueError: the name is taken, or site or an axis is unknown.
+    """
+    if effect.name in EFFECTS:
+        raise ValueError(f"an effect named {effect.name!r} is registered already")
+    unknown = set(effect.axes) - set(AXES)
+    if effect.site not in SITES or unknown:
+        raise ValueError(f"effect {effect.name}: unknown site {effect.site!r} or axes {sorted(unknown)}")
+    EFFECTS[effect.name] = effect
+    return effect
+
+
+def _entries(field: str, count: int, step: float, low: float, high: float) -> tuple[Move, ...]:
+    return tuple(Move(field, step, low, high, (i,)) for i in range(count))
+
+
+def _add(
+    name: str, node: Stage, site: str, moves: Iterable[Move], axes: str, alternatives: str = "", **more: Any
+) -> None:
+    node = Stage(node.fn, name, node.static)
+    register_effect(
+        Effect(name, node, site, tuple(moves), tuple(axes.split()), tuple(alternatives.split()), **more)
+    )
+
+
+_add(
+    "vignetting", stage("vignetting"), "scene",
+    [Move("a2", -0.2, -3, 3), Move("a4", -0.2, -3, 3)],
+    "radius", "color_shading veiling_glare",
+)  # fmt: skip
+_add(
+    "color_shading", stage("color_shading"), "scene",
+    [Move("red_a2", 0.1, -1.5, 1.5), Move("blue_a2", 0.1, -1.5, 1.5),
+     Move("red_a4", 0.1, -1.5, 1.5), Move("blue_a4", 0.1, -1.5, 1.5)],
+    "radius channel", "vignetting white_balance",
+)  # fmt: skip
+_add(
+    "lateral_chromatic_aberration", stage("lateral_chromatic_aberration"), "scene",
+    [Move("red_scale", 0.002, -0.01, 0.01, off=1), Move("blue_scale", 0.002, -0.01, 0.01, off=1)],
+    "radius channel edge", "demosaicking geometric_distortion",
+)  # fmt: skip
+_add(
+    "optical_blur", stage("optical_blur", radius=6), "scene",
+    [Move("sigma", 0.6, 0, 2)],
+    "frequency edge", "resampling sharpening luma_denoising motion_blur",
+)  # fmt: skip
+_add(
+    "motion_blur", stage("directional_blur"), "scene",
+    _entries("lengths", 4, 2.0, 0, 12),
+    "orientation frequency edge", "optical_blur", shows_in=(CLEAN_NOISY,),
+)  # fmt: skip
+_add(
+    "geometric_distortion", stage("geometric_distortion"), "scene",
+    [Move("k1", 0.004, -0.1, 0.1)],
+    "radius edge", "lateral_chromatic_aberration",
+)  # fmt: skip
+_add(
+    "veiling_glare", stage("veiling_glare"), "scene",
+    [Move("share", 0.03, 0, 0.4)],
+    "intensity frame", "black_level_offset tone_curve local_tone_mapping",
+)  # fmt: skip
+_add(
+    "black_level_offset", stage("black_level"), "mosaic",
+    [Move("offset", 0.005, -0.1, 0.1)],
+    "intensity channel", "veiling_glare tone_curve",
+)  # fmt: skip
+_add(
+    "green_imbalance", stage("green_imbalance"), "mosaic",
+    [Move("difference", 0.03, -0.2, 0.2)],
+    "cfa_phase", "demosaicking crosstalk",
+)  # fmt: skip
+_add(
+    "crosstalk", stage("crosstalk"), "mosaic",
+    [Move("horizontal", 0.03, -0.1, 0.3), Move("vertical", 0.03, -0.1, 0.3),
+     Move("diagonal", 0.03, -0.1, 0.3)],
+    "cfa_phase edge saturation", "optical_blur color_matrix",
+)  # fmt: skip
+_add(
+    "highlight_clipping", stage("clip", low=-1.0), "mosaic",
+    [Move("white", -0.15, -0.6, 0, off=1)],
+    "intensity", "tone_curve",
+)  # fmt: skip
+_add(
+    "white_balance", stage("white_balance"), "camera",
+    [Move("gains", 0.05, -0.5, 1, (0,), 1), Move("gains", 0.05, -0.5, 1, (2,), 1)],
+    "channel hue", "color_matrix",
+)  # fmt: skip
+_add(
+    "color_matrix", stage("color_matrix"), "linear",
+    [Move("matrix", 0.05, -1, 1, (i, j), float(i == j)) for i in range(3) for j in range(3)],
+    "hue saturation channel", "saturation color_lut white_balance",
+    contains=("white_balance",),
+)  # fmt: skip
+_add(
+    "color_lut", stage("selective_color"), "encoded",
+    [*_entries("hue", 6, 0.1, -0.6, 0.6), *_entries("saturation", 6, 0.15, -0.8, 0.8),
+     *_entries("lightness", 6, 0.1, -0.8, 0.8)],
+    "hue saturation", "color_matrix saturation",
+    contains=("saturation",),
+)  # fmt: skip
+_add(
+    "tone_curve", stage("spline_curve"), "encoded",
+    _entries("offsets", 12, 0.04, -0.6, 0.6),
+    "intensity", "black_level_offset veiling_glare local_tone_mapping",
+)  # fmt: skip
+_add(
+    "local_tone_mapping", stage("local_tone_mapping"), "linear",
+    [Move("compression", 0.1, -0.7, 0.7), Move("detail", 0.15, -0.8, 2)],
+    "neighbourhood", "veiling_glare tone_curve sharpening",
+)  # fmt: skip
+_add(
+    "saturation", stage("saturation"), "encoded",
+    [Move("amount", 0.15, -1, 3, off=1)],
+    "saturation", "color_matrix color_lut",
+)  # fmt: skip
+_add(
+    "luma_denoising", stage("luma_denoising"), "encoded",
+    _entries("shares", 5, 0.5, -0.2, 1.2),
+    "frequency lag edge", "optical_blur resampling demosaicking",
+)  # fmt: skip
+_add(
+    "chroma_denoising", stage("chroma_denoising"), "encoded",
+    _entries("shares", 5, 0.5, -0.2, 1.2),
+    "frequency channel lag", "chroma_subsampling jpeg_quantization demosaicking",
+)  # fmt: skip
+_add(
+    "sharpening", stage("sharpening"), "encoded",
+    _entries("amounts", 3, 0.3, -0.2, 4),
+    "frequency edge", "local_tone_mapping optical_blur demosaicking",
+)  # fmt: skip
+_add(
+    "demosaicking", stage("demosaicking"), "demosaic",
+    _entries("shares", 5, 1.0, 0, 1),
+    "edge cfa_phase frequency", "crosstalk green_imbalance chroma_denoising lateral_chromatic_aberration",
+)  # fmt: skip
+_add(
+    "resampling", stage("resampling"), "encoded",
+    [Move("factor", 0.4, 0, 2, off=1)],
+    "frequency edge", "optical_blur luma_denoising",
+)  # fmt: skip
+_add(
+    "chroma_subsampling", stage("chroma_subsampling"), "output",
+    [Move("horizontal", 1.0, 0, 1), Move("vertical", 1.0, 0, 1)],
+    "channel frequency edge", "chroma_denoising jpeg_quantization",
+)  # fmt: skip
+_add(
+    "double_compression", stage("earlier_compression"), "output",
+    [Move("quality", 70.0, 5, 99)],
+    "block_phase", "jpeg_quantization",
+)  # fmt: skip
+_add(
+    "jpeg_quantization", stage("jpeg", subsampling="4:4:4"), "output",
+    [Move("quality", 70.0, 5, 99)],
+    "block_phase frequency", "double_compression chroma_subsampling",
+)  # fmt: skip
+_add(
+    "noise_level", stage("gaussian_noise"), "mosaic",
+    [Move("std", 0.004, 0, 0.1)],
+    "intensity", "film_grain", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "row_noise", stage("row_noise"), "mosaic",
+    [Move("std", 0.003, 0, 0.1)],
+    "row lag", "column_noise", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "column_noise", stage("column_noise", sensor=1), "mosaic",
+    [Move("std", 0.003, 0, 0.1)],
+    "column fixed_pattern", "prnu row_noise", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "prnu", stage("prnu", sensor=1), "mosaic",
+    [Move("std", 0.02, 0, 0.1)],
+    "fixed_pattern intensity", "column_noise hot_pixels", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "correlated_noise", stage("correlated_noise"), "mosaic",
+    [Move("std", 0.005, 0, 0.1)],
+    "lag frequency", "luma_denoising film_grain", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "heavy_tailed_noise", stage("heavy_tailed_noise"), "mosaic",
+    [Move("std", 0.005, 0, 0.1)],
+    "tail", "hot_pixels", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "hot_pixels", stage("hot_pixels", sensor=1), "mosaic",
+    [Move("density", 0.002, 0, 0.05)],
+    "tail fixed_pattern", "heavy_tailed_noise prnu", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "adc_quantization", stage("adc_quantization"), "mosaic",
+    [Move("bits", -8.0, -12, 0, off=16)],
+    "intensity tail", "noise_level", shows_in=(CLEAN_NOISY,), random=True,
+)  # fmt: skip
+_add(
+    "film_grain", stage("film_grain"), "encoded",
+    [Move("std", 0.02, 0, 0.2)],
+    "intensity frequency lag", "noise_level correlated_noise", random=True,
+)  # fmt: skip

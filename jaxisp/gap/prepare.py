@@ -1,0 +1,203 @@
+"""From a data set on disk to pairs of one size, and the base that is put before them."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.camera import params_for, shaded_mosaic, with_cfa
+from jaxisp.errors import InputError
+from jaxisp.fit.align import estimate, same_scene
+from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
+from jaxisp.gap.model import Model, build, plain_camera, plain_freedom
+from jaxisp.gap.residual import BORDER, Pairs, Problem, start_matrix
+from jaxisp.gap.solve import fit
+from jaxisp.io.datasets import Loaded
+from jaxisp.pipeline import Chain, Stage, run, stage
+from jaxisp.recipe import Recipe
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
+
+LARGEST = 512
+_GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
+
+
+def common_crop(loaded: Sequence[Loaded]) -> list[tuple[slice, slice]]:
+    """For each pair the middle, of a size that all have, at most 512 px a side."""
+    sizes = []
+    for pair in loaded:
+        first = pair.clean if pair.raw is None else pair.raw.mosaic
+        assert first is not None
+        if first.shape[:2] != pair.picture.shape[:2]:
+            raise InputError(
+                f"{pair.name}: the two pictures are {first.shape[:2]} and {pair.picture.shape[:2]} px; "
+                "crop them to the same frame"
+            )
+        sizes.append(first.shape[:2])
+    size = [min(LARGEST, *(s[axis] for s in sizes)) for axis in (0, 1)]
+    if min(size) < 64:
+        raise InputError(
+            f"pictures of {size[0]}x{size[1]} px are too small to be diagnosed, expected 64 or more"
+        )
+    crops = []
+    for shape in sizes:
+        starts = [(n - wanted) // 2 // _GRID * _GRID for n, wanted in zip(shape, size)]
+        crops.append((slice(starts[0], starts[0] + size[0]), slice(starts[1], starts[1] + size[1])))
+    return crops
+
+
+def raw_pairs(loaded: Sequence[Loaded]) -> Pairs:
+    """RAW+JPEG pairs, cropped alike; what the sensor or the file clipped does not count."""
+    loaded = list({p.name: p for p in loaded}.values())
+    crops = common_crop(loaded)
+    light = np.stack([shaded_mosaic(p.raw)[c] for p, c in zip(loaded, crops) if p.raw is not None])
+    pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
+    pictures = np.stack([laid_on(m, p) for m, p in zip(light, pictures)])
+    names = tuple(p.name for p in loaded)
+    return in_halves(Pairs(names, jnp.asarray(light, jnp.float32), pictures, usable(pictures)))
+
+
+def laid_on(scene: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """The picture moved by whole pixels to where the scene (mosaic, or linear RGB) has its details.
+
+    At most as far as the border that is not counted; what is not a whole pixel stays in the gap.
+    """
+    plane = scene if scene.ndim == 2 else scene.mean(-1)
+    cell = (
+        plane[:-1, :-1] + plane[1:, :-1] + plane[:-1, 1:] + plane[1:, 1:]
+    )  # one of each colour; half a pixel off
+    found = estimate(picture[:-1, :-1], np.sqrt(np.clip(cell, 0, None)))
+    move = [int(np.clip(round(v + 0.5), -BORDER, BORDER)) for v in (float(found.dy), float(found.dx))]
+    return np.roll(picture, move, (0, 1)) if same_scene(found, plane.shape) else picture
+
+
+def in_halves(pairs: Pairs) -> Pairs:
+    """A pair that is alone becomes two: the even and the odd tiles of a checkerboard of 64x64."""
+    if len(pairs.names) > 1:
+        return pairs
+    y, x = np.indices(pairs.mask.shape[1:])
+    even = (y // 64 + x // 64) % 2 == 0
+    names = tuple(f"{pairs.names[0]} ({which} tiles)" for which in ("even", "odd"))
+    twice = np.concatenate([pairs.pictures] * 2)
+    return Pairs(names, jnp.concatenate([pairs.light] * 2), twice, np.stack([even, ~even]) & pairs.mask)
+
+
+def usable(pictures: np.ndarray) -> np.ndarray:
+    """Where no channel is at an end of its range."""
+    return np.asarray(((pictures > 1.5 / 255) & (pictures < 253.5 / 255)).all(-1))
+
+
+def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
+    """The effects that this kind of data can show, less those excluded."""
+    unknown = set(exclude) - set(EFFECTS)
+    if unknown:
+        raise InputError(f"no effect named {', '.join(sorted(unknown))}; there are {', '.join(EFFECTS)}")
+    tried = [e for e in EFFECTS.values() if kind in e.shows_in and e.name not in exclude]
+    # beside a RAW, noise that is added later cannot be predicted pixel by pixel
+    return [e for e in tried if not (e.random and kind == RAW_JPEG)]
+
+
+def raw_model(
+    loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
+) -> tuple[Model, dict[str, float]]:
+    """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of five."""
+    first = loaded[0]
+    assert first.raw is not None
+    if any(p.raw is None or p.raw.cfa != first.raw.cfa for p in loaded):
+        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    cfa = first.raw.cfa
+    sampling = first.jpeg.subsampling if first.jpeg else "4:4:4"
+    gains = np.stack([np.ones(3) if p.raw.white_balanced else p.raw.white_balance for p in loaded])  # type: ignore[union-attr]
+    matrix = _start(pairs, cfa, gains)
+    if np.allclose(gains, 1) and not first.raw.white_balanced:  # the file is silent: the matrix's own white
+        white = np.linalg.solve(matrix, np.ones(3))
+        gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(loaded), 0)
+        matrix = _start(pairs, cfa, gains)
+    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
+    per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
+    chain, params = plain_camera(cfa, subsampling=sampling)
+    params["color_matrix"] = ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))
+    model = build(chain, params, per_pair, plain_freedom(), effects)
+    return fit_base(model, pairs, fit_on)
+
+
+def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> tuple[Model, dict[str, float]]:
+    """The base fitted, with the demosaicker, before or after white balance, that explains the pairs best.
+
+    Returns:
+        the model, and what the base took up of each effect that is part of it, as a share of what was there
+        before it was fitted.
+    """
+    problem = Problem(model, pairs)
+    fit_on = list(fit_on)
+    untouched = problem.errors(problem.z)[fit_on].mean()
+    fit(problem, model.base_indices, fit_on, steps=6)
+    problem.weigh(problem.robust_weights(), problem.z)
+    error = problem.errors(problem.z)[fit_on].mean()
+    absorbed = {name: 1 - float(error / untouched) for name in ("tone_curve", "color_matrix")}
+    absorbed |= {name: 0.0 for name in ("white_balance", "black_level_offset")}
+    fitted = model.moved(problem.z)
+    choices = []
+    first = fitted.per_pair["mosaic_white_balance"]
+    for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32):
+        for early, late in ((first, _neutral(first)), (_neutral(first), first)):
+            problem.model = dataclasses.replace(
+                fitted,
+                shared=fitted.shared | {"demosaicking": Demosaicking(shares=shares)},
+                per_pair=fitted.per_pair | {"mosaic_white_balance": early, "later_balance": late},
+            )
+            choices.append((problem.errors(np.zeros(len(problem.z)))[fit_on].mean(), problem.model))
+    lowest, best = min(choices, key=lambda c: c[0])
+    absorbed["demosaicking"] = 1 - float(lowest / max(c[0] for c in choices))
+    problem.model = best
+    problem.move_to(np.zeros(len(problem.z)))
+    fit(problem, best.base_indices, fit_on, steps=4)
+    return best.moved(problem.z), absorbed
+
+
+def _neutral(balance: WhiteBalance) -> WhiteBalance:
+    return WhiteBalance(gains=np.ones_like(balance.gains))
+
+
+def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
+    """A given camera, whose parameters are believed, with what each RAW states put in."""
+    raws = [p.raw for p in loaded if p.raw is not None]
+    chain = with_cfa(camera.chain, raws[0].cfa)
+    if (chain.domain_in.name, chain.domain_out.name) != ("mosaic", "encoded sRGB") or not isinstance(
+        chain, Chain
+    ):
+        raise InputError("the camera must turn a mosaic into encoded sRGB")
+    own = [params_for(camera, raw) for raw in raws]
+    stated = [name for name in camera.meta.get("from_file", []) if name in own[0]]
+    per_pair = {name: jax.tree.map(lambda *v: np.stack(v), *(o[name] for o in own)) for name in stated}
+    shared = {name: value for name, value in own[0].items() if name not in stated}
+    return build(_with_choice(chain), shared, per_pair, [], effects)
+
+
+def _with_choice(chain: Chain) -> Chain:
+    """The chain with its demosaicking stage as one of five, so that another can be tried."""
+    algorithms = {fn.__name__: name for name, fn in DEMOSAICKERS.items()}
+    nodes = []
+    for node in chain.nodes:
+        if isinstance(node, Stage) and node.fn.__name__ in algorithms and set(dict(node.static)) <= {"cfa"}:
+            node = stage("demosaicking", cfa=node.options["cfa"], algorithm=algorithms[node.fn.__name__])
+        nodes.append(node)
+    return Chain(tuple(nodes), chain.name)
+
+
+def _start(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
+    rgb = []
+    balanced, flat = (
+        stage("mosaic_white_balance", cfa=cfa),
+        stage(demosaicking, cfa=cfa, algorithm="bilinear"),
+    )
+    for mosaic, gain in zip(pairs.light, gains):
+        own = run(balanced, {balanced.name: WhiteBalance(gains=np.asarray(gain, np.float32))}, mosaic)
+        rgb.append(np.asarray(run(flat, flat.init(), own)))
+    return start_matrix(np.stack(rgb), pairs.pictures, pairs.mask)
+
+
+def kind_of(loaded: Sequence[Loaded]) -> str:
+    return RAW_JPEG if loaded[0].raw is not None else "clean+noisy"

@@ -1,0 +1,99 @@
+"""Small plots and pictures that stand inside a page: SVG that takes the page's colours, and PNG."""
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import escape
+from PIL import Image
+
+_W, _H, _LEFT, _RIGHT, _TOP, _BOTTOM = 300, 170, 46, 10, 12, 28
+_MOST_BARS = 16
+
+
+def curve(bins: Sequence[Any], profile: Sequence[float], title: str) -> str:
+    """An SVG of a profile: a line where there are many bins, bars where there are few or they have names."""
+    values = np.nan_to_num(np.asarray(profile, float))
+    if not len(values):
+        return _svg(title, f'<text x="{_W / 2}" y="{_H / 2}" text-anchor="middle">no profile</text>')
+    if len(bins) == 64:
+        return _svg(title, _grid(values.reshape(8, 8)))
+    low, high = min(values.min(), 0), max(values.max(), 0)
+    span = (high - low) or 1.0
+
+    def at(v: float) -> float:
+        return _TOP + (high - v) / span * (_H - _TOP - _BOTTOM)
+
+    edges = np.linspace(_LEFT, _W - _RIGHT, len(values) + 1)
+    centres = (edges[1:] + edges[:-1]) / 2
+    named = any(isinstance(b, str) for b in bins)
+    if named or len(values) <= _MOST_BARS:
+        marks = "".join(
+            f'<rect class="fill" x="{a + 1:.1f}" y="{min(at(v), at(0)):.1f}" width="{max(b - a - 2, 1):.1f}" '
+            f'height="{max(abs(at(v) - at(0)), 0.5):.1f}"/>'
+            for a, b, v in zip(edges, edges[1:], values)
+        )
+    else:
+        points = " ".join(f"{x:.1f},{at(v):.1f}" for x, v in zip(centres, values))
+        marks = f'<polyline class="curve" points="{points}"/>'
+    zero = f'<line class="axis" x1="{_LEFT}" x2="{_W - _RIGHT}" y1="{at(0):.1f}" y2="{at(0):.1f}"/>'
+    return _svg(title, marks + zero + _ticks(low, high, at) + _labels(bins, centres))
+
+
+def _ticks(low: float, high: float, at: Any) -> str:
+    shown = [v for v in dict.fromkeys((low, 0.0, high)) if v == 0 or abs(v) > 0.12 * (high - low)]
+    return "".join(
+        f'<text x="{_LEFT - 5}" y="{at(v) + 4:.1f}" text-anchor="end">{v:.2g}</text>' for v in shown
+    )
+
+
+def _labels(bins: Sequence[Any], centres: np.ndarray) -> str:
+    """As many of the bins' names as there is room for."""
+    texts = [b if isinstance(b, str) else f"{b:.3g}" if b == 0 or abs(b) >= 1 else f"{b:.2f}" for b in bins]
+    room = (_W - _LEFT - _RIGHT) / (6.2 * max((len(t) for t in texts), default=1) + 8)
+    step = max(1, int(np.ceil(len(texts) / max(room, 1))))
+    return "".join(
+        f'<text x="{x:.1f}" y="{_H - 9}" text-anchor="middle">{escape(t)}</text>'
+        for t, x in list(zip(texts, centres))[::step]
+    )
+
+
+def _grid(values: np.ndarray) -> str:
+    """8x8 squares, the darker the farther from the smallest."""
+    spread = np.ptp(values) or 1.0
+    size = (_H - 2 * _TOP) / 8
+    left = (_W - 8 * size) / 2
+    return "".join(
+        f'<rect class="fill" x="{left + j * size:.1f}" y="{_TOP + i * size:.1f}" width="{size - 1:.1f}" '
+        f'height="{size - 1:.1f}" opacity="{0.08 + 0.92 * (v - values.min()) / spread:.2f}"/>'
+        for i, row in enumerate(values)
+        for j, v in enumerate(row)
+    )
+
+
+def _svg(title: str, inside: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {_W} {_H}" role="img" aria-label="{escape(title)}">'
+        f"<title>{escape(title)}</title>{inside}</svg>"
+    )
+
+
+def spectrum_picture(spectrum: Any) -> np.ndarray:
+    """(h, w) energies as grey levels, in logarithms."""
+    level = np.log10(np.maximum(np.nan_to_num(np.asarray(spectrum, float)), 0) + 1e-6)
+    if level.ndim == 3:
+        level = level[..., 0]
+    return (level - level.min()) / max(float(np.ptp(level)), 1e-9)
+
+
+def data_uri(picture: Any, longest: int = 512) -> str:
+    """A picture in [0, 1] as PNG in the page, made smaller by whole steps where it is large."""
+    levels = np.nan_to_num(np.asarray(picture, np.float64), nan=0.5)
+    step = -(-max(levels.shape[:2]) // longest)
+    h, w = (n // step * step for n in levels.shape[:2])
+    levels = levels[:h, :w].reshape(h // step, step, w // step, step, *levels.shape[2:]).mean((1, 3))
+    buffer = io.BytesIO()
+    Image.fromarray(np.round(255 * np.clip(levels, 0, 1)).astype(np.uint8)).save(buffer, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,172 @@
+"""RAW+JPEG pairs: what the simulator's picture lacks, and how it changes with each move.
+
+Everything is least squares on residuals in Y'CbCr, in 8-bit steps. Columns are secants, differences of two
+pictures: they exist where a derivative does not (medians, choices, roundings).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from jaxisp.color import rgb_to_ycbcr_planes
+from jaxisp.gap.model import Model
+from jaxisp.io import Jpeg
+from jaxisp.pipeline import run, stage
+from jaxisp.stages.jpeg import JpegTables
+
+BORDER = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Pairs:
+    """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
+    and `mask` (N, H, W) of the pixels that count."""
+
+    names: tuple[str, ...]
+    light: jax.Array
+    pictures: np.ndarray
+    mask: np.ndarray
+
+    def take(self, which: Sequence[int]) -> "Pairs":
+        index = np.asarray(which)
+        names = tuple(self.names[i] for i in index)
+        return Pairs(names, self.light[index], self.pictures[index], self.mask[index])
+
+
+def to_steps(pictures: np.ndarray) -> np.ndarray:
+    """(..., 3) RGB in [0, 1] to (..., 3) Y'CbCr in 8-bit steps, float32."""
+    return np.asarray(_to_steps(pictures))
+
+
+@jax.jit
+def _to_steps(pictures: jax.Array) -> jax.Array:
+    return 255 * jnp.stack(rgb_to_ycbcr_planes(*jnp.moveaxis(jnp.asarray(pictures, jnp.float32), -1, 0)), -1)
+
+
+class Problem:
+    """A model before pairs, with the columns that have been computed at a point.
+
+    Attributes:
+        z: the point.
+        residual: (N, P) target less picture there, masked pixels 0.
+        weight: (N, P) 1 where a pixel counts.
+    """
+
+    def __init__(self, model: Model, pairs: Pairs) -> None:
+        self.model, self.pairs = model, pairs
+        inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+        self.inner = inner
+        self.target = to_steps(pairs.pictures[inner])
+        self.shape = self.target.shape
+        self.weigh(np.ones(self.shape[:-1]))
+
+    def weigh(self, weights: np.ndarray, z: np.ndarray | None = None) -> None:
+        """Set how much each pixel (N, h, w) counts, beside the mask, and go to a point: z = 0 if None."""
+        counted = weights * self.pairs.mask[self.inner]
+        self.counts = counted.reshape(len(counted), -1).sum(1)
+        self.weight = np.broadcast_to(np.sqrt(counted, dtype=np.float32)[..., None], self.shape)
+        self.move_to(np.zeros(len(self.model.coordinates)) if z is None else z)
+
+    def robust_weights(self, difference: np.ndarray | None = None) -> np.ndarray:
+        """(N, h, w) weights that fall where the residual around a pixel is large against what is usual.
+
+        Another demosaicker leaves large errors at few edges, which would hide all else.
+        """
+        difference = self.target - self.current if difference is None else difference
+        around = uniform_filter((difference**2).sum(-1), (0, 5, 5))
+        usual = np.median(around[self.pairs.mask[self.inner]])
+        return 1 / (1 + around / (4 * usual + 1e-9)).astype(np.float32)
+
+    def rendered(self, z: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) encoded."""
+        return self.model.render(z, self.pairs.light)
+
+    def picture(self, z: np.ndarray) -> np.ndarray:
+        """(N, h, w, 3) Y'CbCr in steps, its border cut off."""
+        return to_steps(self.rendered(z)[self.inner])
+
+    def units(self, z: np.ndarray, side: int = 60) -> np.ndarray:
+        """(N, U) mean square residual of each tile, scaled so that the mean over tiles is the pair's."""
+        square = (((self.target - self.picture(z)) * self.weight) ** 2).sum(-1)
+        h, w = square.shape[1:]
+        rows, columns = max(h // side, 1), max(w // side, 1)
+        tiles = [np.array_split(r, columns, 2) for r in np.array_split(square, rows, 1)]
+        sums = np.stack([t.sum((1, 2), dtype=np.float64) for row in tiles for t in row], 1)
+        return sums * (rows * columns / self.counts)[:, None]
+
+    def errors(self, z: np.ndarray) -> np.ndarray:
+        """(N,) mean square residual of each pair, all channels together."""
+        return self.mean_squares((self.target - self.picture(z)) * self.weight)
+
+    def mean_squares(self, residual: np.ndarray) -> np.ndarray:
+        flat = residual.reshape(len(residual), -1)
+        return np.einsum("np,np->n", flat, flat, dtype=np.float64) / self.counts
+
+    def move_to(self, z: np.ndarray) -> None:
+        """Go to a point; the columns there are yet to be computed."""
+        self.z = np.asarray(z, float)
+        self.current = self.picture(self.z)
+        self.residual = (self.target - self.current) * self.weight
+        self.columns: dict[int, np.ndarray] = {}
+
+    def compute(self, which: Sequence[int]) -> None:
+        """The columns of these coordinates at the point, as changes per unit."""
+        low, high = self.model.ranges
+        for i in which:
+            if i in self.columns:
+                continue
+            step = self.model.steps[i]
+            if not low[i] <= self.z[i] + step <= high[i]:
+                step = -step
+            moved = self.z.copy()
+            moved[i] += step
+            self.columns[i] = (self.picture(moved) - self.current) * (self.weight / np.float32(step))
+
+    def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""
+        n = len(self.target)
+        stacked = np.stack([self.columns[i].reshape(n, -1) for i in which], 1)
+        scale = 1 / self.counts[:, None]
+        gram = np.stack([c @ c.T for c in stacked]) * scale[..., None]
+        return gram, np.stack([c @ r for c, r in zip(stacked, self.residual.reshape(n, -1))]) * scale
+
+
+def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
+    """(3, 3) colour matrix by least squares in linear light over means of blocks.
+
+    Args:
+        light: (N, H, W, 3) white-balanced camera RGB.
+        pictures: (N, H, W, 3) encoded.
+        mask: (N, H, W).
+    """
+    linear = np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
+
+    def means(a: np.ndarray) -> np.ndarray:
+        n, h, w, c = a.shape
+        a = a[:, : h // block * block, : w // block * block]
+        return a.reshape(n, h // block, block, w // block, block, c).mean((2, 4)).reshape(-1, c)
+
+    whole = means(mask[..., None].astype(np.float32))[:, 0] == 1
+    return np.linalg.lstsq(means(light)[whole], means(linear)[whole], rcond=None)[0].T
+
+
+def floor_errors(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
+    """(N,) the errors that rounding and the file's own compression would leave were the simulator right."""
+    whole = problem.model.render(problem.z, problem.pairs.light)
+    stored = np.stack([_as_stored(p, f) for p, f in zip(whole, files)])
+    difference = to_steps(stored[problem.inner]) - to_steps(whole[problem.inner])
+    # weighed by its own size, as the real residual is by its own
+    counted = problem.robust_weights(difference) * problem.pairs.mask[problem.inner]
+    return (difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2))
+
+
+def _as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
+    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
+        return np.round(255 * picture) / 255
+    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
+    encoder = stage("jpeg_tables", subsampling=file.subsampling)
+    return np.asarray(run(encoder, {encoder.name: JpegTables(luma_table=luma, chroma_table=chroma)}, picture))

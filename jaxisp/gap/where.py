@@ -1,0 +1,239 @@
+"""Where a residual lies: the share of it that each axis explains, on scenes it was not learnt from.
+
+Every axis is a regression of the residual on what that axis says of a pixel: its luma, its radius times its
+value, its place in the 8x8 grid. It is learnt on some scenes and scored on the others, so that a share is
+neither a matter of many bins nor of one scene's layout. What a simpler axis says already is not counted
+twice: the neighbourhood, for one, counts at fixed luma. Significance comes from flipping the signs of whole
+tiles, with the largest of all axes as the reference.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxisp.gap import where_features as features
+from jaxisp.gap.where_features import POLAR_AXES, Scene
+from jaxisp.gap.where_profiles import Profiles
+from jaxisp.gap.where_scores import Bins, Explained, Lines, Regression, Repeated, Tail, Tiles, cut
+
+DRAWS = 199
+_SLACK = 0.01  # of the energy: where less is left, nothing can be said of it
+_ROUNDING = 0.3  # least standard deviation, in steps, that 8 bits leave
+
+Find = Callable[[np.ndarray, Tiles], Explained]
+
+
+def where(
+    residual: np.ndarray,
+    picture: np.ndarray,
+    weight: np.ndarray,
+    *,
+    cfa_period: int = 2,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Rank the axes by the share of the residual that they explain.
+
+    Args:
+        residual: (N, h, w, 3) target less simulator in Y'CbCr, 8-bit steps.
+        picture: (N, h, w, 3) the simulator's picture in the same unit, its corner on the CFA's and the 8x8
+            grid.
+        weight: (N, h, w) in [0, 1].
+        cfa_period: of the colour filter array.
+        rng: for folds and signs.
+
+    Returns:
+        for each axis, largest first: `axis`; `share`, in [0, 1], of the weighted mean square that simpler
+        axes leave; `p_value`, corrected over the axes; `bins` and `profile` to plot, in `unit`; the `channel`
+        that shows it most; and `channels`, the share by channel.
+
+    Raises:
+        ValueError: shapes do not match, or are smaller than 64 px a side.
+    """
+    n, h, w = weight.shape
+    if residual.shape != (n, h, w, 3) or picture.shape != residual.shape or min(h, w) < 64:
+        raise ValueError(
+            f"residual {residual.shape}, picture {picture.shape}, weight {weight.shape}: "
+            "expected (N, h, w, 3) twice and (N, h, w), with 64 px or more a side"
+        )
+    weight = weight.astype(np.float32)
+    residual = np.where(weight[..., None] > 0, residual, 0).astype(np.float32)
+    tiles = cut(weight.shape, rng)
+    evidence = _Evidence(tiles, cfa_period, rng)
+    for own, shown, counted in zip(residual, picture, weight):
+        evidence.add(Scene(shown), own, counted)
+    signs = rng.choice((-1.0, 1.0), (DRAWS + 1, tiles.folds.shape[1]))
+    signs[0] = 1
+    explained = {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
+    p_values = _corrected({axis: e.own.sum(1) for axis, e in explained.items()})
+    found = []
+    for axis, e in explained.items():
+        shares = _shares(e, evidence.energy[int(axis in POLAR_AXES)])
+        first = {"axis": axis, "share": float(np.clip(shares.sum(), 0, 1)), "p_value": p_values[axis]}
+        found.append(first | evidence.profiles.of(axis, shares))
+    return sorted(found, key=lambda f: -f["share"])
+
+
+def _shares(e: Explained, energy: np.ndarray) -> np.ndarray:
+    """(3,) by channel, of all energy: what is explained of what the simpler axes leave."""
+    total = energy.sum() + 1e-9
+    known = np.clip(np.broadcast_to(e.known, e.own.shape)[0], 0, energy)
+    return (
+        e.own[0]
+        / np.where(known > 0, energy - known + _SLACK * total, total)
+        * np.where(known > 0, energy / total, 1)
+    )
+
+
+def _corrected(shares: dict[str, np.ndarray]) -> dict[str, float]:
+    """The chance that the largest of all axes, each in its own null's unit, is as large as this one."""
+    every = np.stack(list(shares.values()))
+    scaled = (every - every.mean(1, keepdims=True)) / (every.std(1, keepdims=True) + 1e-15)
+    largest = scaled.max(0)
+    return {axis: float(np.mean(largest >= own[0] - 1e-12)) for axis, own in zip(shares, scaled)}
+
+
+class _Evidence:
+    """The sums of every axis, taken in scene by scene."""
+
+    def __init__(self, tiles: Tiles, period: int, rng: np.random.Generator) -> None:
+        self._tiles, self._period = tiles, period
+        self._known = features.REGRESSIONS | {"cfa_phase": features.cfa_features(period)}
+        self._regressions = {axis: Regression(given) for axis, (_, given) in self._known.items()}
+        self._lag = [Regression((1, 1, 1)) for _ in range(3)]
+        self._rows, self._columns = Lines(), Lines()
+        self._repeated, self._tail = Repeated(), Tail(rng)
+        self._bins: dict[str, Bins] = {}
+        self.profiles = Profiles(period)
+        self.energy = np.zeros((2, 3))  # by channel; chroma plain, and in polar form
+        self._scenes = 0
+
+    def add(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
+        """One scene: residual (h, w, 3), weight (h, w)."""
+        self._scenes += 1
+        polar = scene.polar(residual)
+        self.energy += [(weight[..., None] * a**2).sum((0, 1), dtype=np.float64) for a in (residual, polar)]
+        for axis, (build, _) in self._known.items():
+            self._regressions[axis].add(
+                build(scene), polar if axis in POLAR_AXES else residual, weight, self._tiles
+            )
+        self._add_places(scene, residual, weight)
+        self._add_blocks(scene, residual * weight[..., None])
+        flat = _flat(scene.edge, weight)
+        detail = residual - np.stack([features.ring(residual[..., c]) for c in range(3)], -1)
+        self._add_noise(residual, detail, flat)
+        self._repeated.add(_unlocked(detail * weight[..., None]))
+        self.profiles.add(scene, residual, polar, detail, weight, flat)
+
+    def _add_places(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
+        h, w = weight.shape
+        side = np.arange(max(h, w)) % 8
+        place = np.arange(64)
+        coarse = place // 8 % self._period * self._period + place % self._period
+        if not self._bins:
+            nested = coarse if 8 % self._period == 0 else place * 0
+            self._bins = {"row": Bins(side[:h]), "column": Bins(side[:w]), "phase": Bins(nested)}
+            self._bins |= {"blocks": Bins(), "shifted": Bins()}
+        weighted = residual * weight[..., None]
+        phase = scene.rows % 8 * 8 + scene.columns % 8
+        for part in self._tiles.slices:
+            for axis, index, count in (
+                ("row", scene.rows, h), ("column", scene.columns, w), ("phase", phase, 64),
+            ):  # fmt: skip
+                self._bins[axis].add(*_sums(index[part], weighted[part], weight[part], count))
+        across = [c for _, c in self._tiles.slices[: self._tiles.across]]
+        down = [r for r, _ in self._tiles.slices[:: self._tiles.across]]
+        tile_of_row, tile_of_column = (
+            np.searchsorted([s.start for s in edges], np.arange(n), "right") - 1
+            for edges, n in ((down, h), (across, w))
+        )
+        self._rows.add(residual, weight, tile_of_row, across)
+        self._columns.add(residual.swapaxes(0, 1), weight.T, tile_of_column, down)
+
+    def _add_blocks(self, scene: Scene, residual: np.ndarray) -> None:
+        """Slopes of the residual's 8x8 cosine coefficients on the picture's, on the grid and off it."""
+        for name, offset in (("blocks", 0), ("shifted", 4)):
+            ours, theirs = (
+                [features.block_transform(np.roll(a, (-offset, -offset), (0, 1))) for a in planes]
+                for planes in (scene.planes, np.moveaxis(residual, -1, 0))
+            )
+            for rows, columns in self._tiles.slices:
+                part = tuple(slice(s.start // 8, s.stop // 8) for s in (rows, columns))
+                sums = [_slopes(a[part], b[part]) for a, b in zip(ours, theirs)]
+                self._bins[name].add(np.stack([s for s, _ in sums], -1), np.stack([c for _, c in sums], -1))
+
+    def _add_noise(self, residual: np.ndarray, detail: np.ndarray, flat: np.ndarray) -> None:
+        for channel, regression in enumerate(self._lag):
+            target = np.zeros_like(residual)
+            target[..., channel] = residual[..., channel]
+            regression.add(features.lag_features(residual, channel), target, flat, self._tiles)
+        for part in self._tiles.slices:
+            values = detail[part][flat[part] > 0.5]
+            if len(values) > 100:
+                self._tail.add(values, np.maximum(1.4826 * np.median(np.abs(values), 0), _ROUNDING))
+
+    def axes(self) -> dict[str, Find]:
+        """By axis, the energy explained for given signs."""
+        bins, lines = self._bins, (self._rows, self._columns)
+
+        def row(signs: np.ndarray, tiles: Tiles) -> Explained:
+            return _larger(bins["row"].explained(signs, tiles), lines[0].explained(signs, tiles))
+
+        def column(signs: np.ndarray, tiles: Tiles) -> Explained:
+            return _larger(
+                bins["column"].explained(signs, tiles), lines[1].explained(signs, tiles, transposed=True)
+            )
+
+        def block_phase(signs: np.ndarray, tiles: Tiles) -> Explained:
+            locked = bins["blocks"].explained(signs, tiles).own - bins["shifted"].explained(signs, tiles).own
+            return _larger(bins["phase"].explained(signs, tiles), Explained(locked))
+
+        def lag(signs: np.ndarray, tiles: Tiles) -> Explained:
+            return Explained(np.sum([r.explained(signs, tiles).own for r in self._lag], 0))
+
+        found: dict[str, Find] = {axis: r.explained for axis, r in self._regressions.items()}
+        found |= {"row": row, "column": column, "block_phase": block_phase, "lag": lag}
+        found["tail"] = self._tail.explained
+        if self._scenes >= 3:
+            found["fixed_pattern"] = self._repeated.explained
+        return found
+
+
+def _flat(edge: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The weight of the flatter half of a scene, less the border, where filters see pixels twice."""
+    inner = np.zeros_like(weight)
+    inner[7:-7, 7:-7] = weight[7:-7, 7:-7]
+    counted = edge[inner > 0]
+    return inner * (edge <= np.median(counted)) if len(counted) else inner
+
+
+def _larger(a: Explained, b: Explained) -> Explained:
+    """The one that explains more, draw by draw."""
+    first = a.own.sum(1, keepdims=True) >= b.own.sum(1, keepdims=True)
+    return Explained(np.where(first, a.own, b.own), np.where(first, a.known, b.known))
+
+
+def _sums(
+    index: np.ndarray, weighted: np.ndarray, weight: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    flat = index.ravel()
+    sums = [np.bincount(flat, weighted[..., c].ravel(), count) for c in range(3)]
+    counts = np.bincount(flat, weight.ravel(), count)
+    return np.stack(sums, -1), np.repeat(counts[:, None], 3, 1)
+
+
+def _slopes(ours: np.ndarray, theirs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """By coefficient and by its size in octaves: sums of the product and of the square."""
+    octave = np.clip(np.log2(np.abs(ours) + 1e-6).astype(int) + 1, 0, 7)
+    index = (octave + 8 * np.arange(64).reshape(8, 8)).ravel()
+    return np.bincount(index, (ours * theirs).ravel(), 512), np.bincount(index, (ours**2).ravel(), 512)
+
+
+def _unlocked(detail: np.ndarray) -> np.ndarray:
+    """Less the means of rows, of columns and of places in the 8x8 grid, which are axes of their own."""
+    detail = detail - detail.mean(0, keepdims=True)
+    detail = detail - detail.mean(1, keepdims=True)
+    for dy in range(8):
+        for dx in range(8):
+            detail[dy::8, dx::8] -= detail[dy::8, dx::8].mean((0, 1))
+    return detail

@@ -1,0 +1,220 @@
+"""How much of a residual something explains on scenes, or halves of scenes, it was not learnt from.
+
+Each score keeps sums by tile, so that flipping the sign of a tile's residual costs next to nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_RIDGE = 30  # pixels' worth of zeros that every coefficient sees
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """What a sign is drawn for: a part of a scene.
+
+    Attributes:
+        slices: rows and columns of each, row by row, the same in all scenes.
+        across: how many there are side by side.
+        folds: (F, B) on which tiles each fold is scored, scene after scene.
+    """
+
+    slices: list[tuple[slice, slice]]
+    across: int
+    folds: np.ndarray
+
+    def of_scene(self, signs: np.ndarray, scene: int) -> np.ndarray:
+        """(D, down, across) of one scene's signs, out of all (D, B)."""
+        own = signs[:, scene * len(self.slices) : (scene + 1) * len(self.slices)]
+        return own.reshape(len(signs), -1, self.across)
+
+
+def cut(shape: Sequence[int], rng: np.random.Generator) -> Tiles:
+    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only."""
+    n, h, w = shape[:3]
+    edges = []
+    for size in (h, w):
+        step = 32 if n == 1 else max(32, size // 6 // 8 * 8)
+        starts = list(range(0, max(size - step, 0) + 1, step))
+        edges.append([slice(a, b) for a, b in zip(starts, [*starts[1:], size])])
+    slices = [(rows, columns) for rows in edges[0] for columns in edges[1]]
+    groups = np.repeat(np.arange(n), len(slices)) if n > 1 else np.arange(len(slices))
+    many = groups.max() + 1
+    count = max(2, min(4, many))
+    fold = (rng.permutation(many) % count)[groups]
+    return Tiles(slices, len(edges[1]), np.stack([fold == f for f in range(count)]))
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Energies by channel, for each draw of signs.
+
+    Attributes:
+        own: (D, 3) what is explained beyond `known`.
+        known: (D, 3) or 0, what simpler axes explain.
+    """
+
+    own: np.ndarray
+    known: np.ndarray | float = 0.0
+
+
+class Regression:
+    """Least squares on features; the first `given` of them, by channel, say what other axes say already."""
+
+    def __init__(self, given: Sequence[int] = (0, 0, 0)) -> None:
+        self.given = given
+        self._gram: list[np.ndarray] = []
+        self._slope: list[np.ndarray] = []
+        self._support: Any = 0.0
+
+    def add(
+        self, features: Sequence[np.ndarray], target: np.ndarray, weight: np.ndarray, tiles: Tiles
+    ) -> None:
+        """Take in one scene: (h, w) features and weight, (h, w, 3) target."""
+        stacked = np.stack(features, -1).astype(np.float32)
+        for rows, columns in tiles.slices:
+            f = stacked[rows, columns].reshape(-1, stacked.shape[-1])
+            w = weight[rows, columns].reshape(-1, 1)
+            weighted = f * w
+            self._gram.append((f.T @ weighted).astype(np.float64))
+            self._slope.append((weighted.T @ target[rows, columns].reshape(-1, 3)).astype(np.float64))
+            self._support = self._support + w[:, 0] @ (f != 0)
+
+    def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        gram, slope = np.stack(self._gram), np.stack(self._slope)
+        total, known = np.zeros((2, len(signs), 3))
+        for test in tiles.folds:
+            grams = gram[~test].sum(0), gram[test].sum(0)
+            slopes = [np.tensordot(signs[:, part], slope[part], 1) for part in (~test, test)]
+            total += self._gain(grams, slopes, gram.shape[-1], range(3))
+            for channel, given in enumerate(self.given):
+                if given:
+                    known[:, [channel]] += self._gain(grams, slopes, given, [channel])
+        return Explained(total - known, known)
+
+    def _solve(self, gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        diagonal = np.diag(gram) + 1e-12
+        ridge = diagonal * (1e-5 + _RIDGE / (self._support[: len(gram)] + _RIDGE))
+        return np.linalg.solve(gram + np.diag(ridge), slope)
+
+    def _gain(self, grams: Any, slopes: Any, count: int, channels: Sequence[int]) -> np.ndarray:
+        """What the first `count` coefficients, learnt on the one part, explain of the other."""
+        learn, test = (s[:, :count][..., list(channels)] for s in slopes)
+        found = self._solve(grams[0][:count, :count], learn)
+        return (found * (2 * test - grams[1][:count, :count] @ found)).sum(1)
+
+
+class Bins:
+    """A mean, or a slope, in each bin; `coarser` says of which coarser bin, known already, it is a part."""
+
+    def __init__(self, coarser: np.ndarray | None = None) -> None:
+        self._merge = None if coarser is None else np.eye(coarser.max() + 1)[:, coarser]
+        self._sums: list[np.ndarray] = []
+        self._counts: list[np.ndarray] = []
+
+    def add(self, sums: np.ndarray, counts: np.ndarray) -> None:
+        """Take in one tile: (K, 3) sums of the target times the feature, (K, 3) of the feature's square."""
+        self._sums.append(sums)
+        self._counts.append(counts)
+
+    def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        sums, counts = np.stack(self._sums), np.stack(self._counts)
+        total = _gain(signs, sums, counts, tiles.folds)
+        if self._merge is None:
+            return Explained(total)
+        known = _gain(signs, self._merge @ sums, self._merge @ counts, tiles.folds)
+        return Explained(total - known, known)
+
+
+def _gain(signs: np.ndarray, sums: np.ndarray, counts: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    total = np.zeros((len(signs), 3))
+    for test in folds:
+        learn, scored = (np.tensordot(signs[:, part], sums[part], 1) for part in (~test, test))
+        mean = learn / (counts[~test].sum(0) + _RIDGE)
+        total += (mean * (2 * scored - counts[test].sum(0) * mean)).sum(1)
+    return total
+
+
+class Lines:
+    """What one half of a row, in every second tile, says of its other half, beyond the mean of 8 rows."""
+
+    def __init__(self) -> None:
+        self._scenes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def add(self, target: np.ndarray, weight: np.ndarray, rows: np.ndarray, columns: Sequence[slice]) -> None:
+        """Take in one scene, its columns cut by tiles; `rows` (h,) says in which tile a row is."""
+        weighted = target * weight[..., None]
+        sums = np.stack([weighted[:, c].sum(1) for c in columns], 1)
+        counts = np.stack([weight[:, c].sum(1) for c in columns], 1)
+        self._scenes.append((sums.astype(np.float64), counts.astype(np.float64), rows))
+
+    def explained(self, signs: np.ndarray, tiles: Tiles, *, transposed: bool = False) -> Explained:
+        total = np.zeros((len(signs), 3))
+        for scene, (sums, counts, rows) in enumerate(self._scenes):
+            own = tiles.of_scene(signs, scene)
+            own = (own.swapaxes(1, 2) if transposed else own)[:, rows]
+            halves = [(own[:, :, i::2, None] * sums[:, i::2]).sum(2) for i in (0, 1)]
+            pixels = [counts[:, i::2].sum(1)[:, None] for i in (0, 1)]
+            starts = np.arange(0, len(rows), 8)
+            coarse = [np.add.reduceat(a, starts, axis=-2) for a in (*halves, *pixels)]
+            total += _half_gain(*halves, *pixels) - _half_gain(*coarse)
+        return Explained(total)
+
+
+def _half_gain(a: np.ndarray, b: np.ndarray, pixels_a: np.ndarray, pixels_b: np.ndarray) -> np.ndarray:
+    mean_a, mean_b = a / (pixels_a + _RIDGE), b / (pixels_b + _RIDGE)
+    return (mean_a * (2 * b - pixels_b * mean_a) + mean_b * (2 * a - pixels_a * mean_b)).sum(1)
+
+
+class Repeated:
+    """What is at the same place in all scenes: the mean product of two scenes."""
+
+    def __init__(self) -> None:
+        self._scenes: list[np.ndarray] = []
+
+    def add(self, detail: np.ndarray) -> None:
+        """Take in one scene: (h, w, 3), what is not to count being 0."""
+        self._scenes.append(detail)
+
+    def products(self, tiles: Tiles) -> np.ndarray:
+        """(T, 3, N, N) sums of the products of two scenes in each tile."""
+        return np.stack([self._tile(rows, columns) for rows, columns in tiles.slices])
+
+    def _tile(self, rows: slice, columns: slice) -> np.ndarray:
+        flat = np.stack([d[rows, columns].reshape(-1, 3).T for d in self._scenes], 1)
+        return (flat @ flat.swapaxes(1, 2)).astype(np.float64)
+
+    def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        products = self.products(tiles)
+        n = products.shape[-1]
+        products[..., np.arange(n), np.arange(n)] = 0
+        own = signs.reshape(len(signs), n, -1)
+        return Explained(np.einsum("dit,tcij,djt->dc", own, products, own, optimize=True) / (n - 1))
+
+
+class Tail:
+    """Energy beyond five robust standard deviations: a Gaussian has next to none there."""
+
+    LIMIT = 5.0
+    _USUAL = 1.2e-6  # of a Gaussian's samples are beyond, where its deviation is 3 % off
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._energy = np.zeros(3)
+        self._one = np.zeros(3)
+        self._expected = np.zeros(3)
+
+    def add(self, values: np.ndarray, scale: np.ndarray) -> None:
+        """Take in one tile: (P, 3) detail of the residual where it is flat, (3,) standard deviations."""
+        far = np.abs(values) > self.LIMIT * scale
+        self._energy += (values**2 * far).sum(0)
+        self._one = np.maximum(self._one, (self.LIMIT * scale) ** 2)
+        self._expected += self._USUAL * len(values)
+
+    def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        draws = self._rng.poisson(self._expected, (len(signs), 3)) * self._one
+        draws[0] = self._energy
+        return Explained(draws)

@@ -1,0 +1,145 @@
+"""Choices as numbers: demosaicking algorithms and chroma sampling of a pipeline that is compiled once."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
+from jaxisp.numerics import planes, round_through
+from jaxisp.params import Leaf, param, parameters
+from jaxisp.pipeline import register
+from jaxisp.stages.demosaic import (
+    demosaic_ahd,
+    demosaic_bilinear,
+    demosaic_hibbard,
+    demosaic_malvar,
+    demosaic_menon,
+)
+from jaxisp.stages.jpeg import Jpeg, jpeg
+
+DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
+    "bilinear": demosaic_bilinear,
+    "malvar": demosaic_malvar,
+    "hibbard": demosaic_hibbard,
+    "ahd": demosaic_ahd,
+    "menon": demosaic_menon,
+}
+
+
+@parameters
+class Demosaicking:
+    """The share of each algorithm."""
+
+    shares: Leaf = param(
+        (0.0,) * len(DEMOSAICKERS), (-0.5, 1.5), "1", doc="bilinear, Malvar, Hibbard, AHD, Menon"
+    )
+
+
+@register
+def demosaicking(
+    params: Demosaicking, image: Mosaic, *, cfa: str = "RGGB", algorithm: str = "malvar"
+) -> CameraRGB:
+    """Demosaick by one of five algorithms, or a mix, the choice being a parameter.
+
+    `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap` all are).
+
+    Args:
+        params: the shares.
+        image: (H, W) linear light, any range.
+        cfa: the pattern, row-major from the top-left.
+        algorithm: D, which all shares 0 leave: "bilinear", "malvar", "hibbard", "ahd" or "menon".
+
+    Returns:
+        (H, W, 3) camera RGB.
+
+    Gradient: exact to the shares that are not 0; to the image that of the algorithms.
+
+    Source: see the stages named.
+    """
+    start = DEMOSAICKERS[algorithm](image, cfa=cfa)
+    change = jnp.zeros_like(start)
+    for share, run in zip(params.shares, DEMOSAICKERS.values()):
+        other = lax.cond(share != 0, lambda m, run=run: run(m, cfa=cfa), lambda m: start, image)
+        change = change + share * (other - start)
+    return start + change
+
+
+@parameters
+class ChromaSubsampling:
+    """How coarsely chroma is stored."""
+
+    horizontal: Leaf = param(1.0, (0.0, 1.0), "share", doc="0 is full resolution, 1 halves the columns")
+    vertical: Leaf = param(1.0, (0.0, 1.0), "share", doc="0 is full resolution, 1 halves the rows")
+
+
+@register
+def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedRGB:
+    """Halve the resolution of chroma and restore the size: averages of two, back by linear interpolation.
+
+    `C' = C + share (U(D(C)) - C)`, columns first and then rows; D averages pairs from the left and from
+    the top, U weighs 3/4 and 1/4. 1 and 1 is 4:2:0, 1 and 0 is 4:2:2.
+
+    Args:
+        params: the shares.
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) encoded, not rounded.
+
+    Gradient: exact.
+
+    Source: ITU-T T.81 (1992); libjpeg's h2v1 and h2v2 filters.
+    """
+    y, *chroma = rgb_to_ycbcr_planes(*planes(image))
+    cb, cr = (_halved(_halved(c, params.horizontal).T, params.vertical).T for c in chroma)
+    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), -1)
+
+
+def _halved(plane: jax.Array, share: jax.Array) -> jax.Array:
+    """Along the columns."""
+    width = plane.shape[1]
+    even = jnp.pad(plane, ((0, 0), (0, width % 2)), mode="edge")
+    small = 0.5 * (even[:, ::2] + even[:, 1::2])
+    wide = jnp.pad(small, ((0, 0), (1, 1)), mode="edge")
+    left, right = (0.75 * small + 0.25 * wide[:, s : s + small.shape[1]] for s in (0, 2))
+    restored = jnp.stack([left, right], -1).reshape(even.shape)[:, :width]
+    return plane + share * (restored - plane)
+
+
+@parameters
+class EarlierCompression:
+    """A JPEG that the picture went through before, and where its blocks began."""
+
+    quality: Leaf = param(70.0, (5.0, 100.0), "quality", doc="libjpeg's, rounded")
+    row: Leaf = param(0.0, (0.0, 7.0), "px", doc="rows by which its 8x8 grid is moved down, rounded")
+    column: Leaf = param(0.0, (0.0, 7.0), "px", doc="columns by which its grid is moved right, rounded")
+
+
+@register
+def earlier_compression(
+    params: EarlierCompression, image: EncodedRGB, *, subsampling: str = "4:4:4"
+) -> EncodedRGB:
+    """Compress the picture on an 8x8 grid that need not start at its corner.
+
+    The picture is rolled so that the grid does start there, compressed by `jpeg`, and rolled back: blocks
+    that cross the border hold both sides of the picture.
+
+    Args:
+        params: quality and the place of the grid.
+        image: (H, W, 3) in [0, 1].
+        subsampling: "4:4:4", "4:2:2" or "4:2:0".
+
+    Returns:
+        (H, W, 3) in [0, 1], multiples of 1/255.
+
+    Gradient: none to the place; else surrogate, as that of `jpeg`.
+
+    Source: ITU-T T.81 (1992).
+    """
+    row, column = (jnp.round(lax.stop_gradient(v)).astype(jnp.int32) for v in (params.row, params.column))
+    moved = jnp.roll(image, jnp.stack((-row, -column)), (0, 1))
+    moved = jpeg(Jpeg(quality=round_through(params.quality)), moved, subsampling=subsampling)
+    return jnp.roll(moved, jnp.stack((row, column)), (0, 1))

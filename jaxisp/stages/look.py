@@ -1,0 +1,153 @@
+"""Looks that a phone lays over its picture: a free tone curve, colour by hue, tone by neighbourhood."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.domains import RGB, EncodedRGB
+from jaxisp.numerics import planes, safe_sqrt
+from jaxisp.params import Leaf, param, parameters
+from jaxisp.pipeline import register
+from jaxisp.windows import gaussian_blur
+
+SECTORS = 6
+_REDUCED = 4  # local means are taken of blocks of 4x4: they are wide, and 16 times cheaper there
+
+
+@parameters
+class SplineCurve:
+    """Weights of the cubic B-splines that are added to the identity."""
+
+    offsets: Leaf = param(
+        (0.0,) * 12, (-0.6, 0.6), "level", any_length=True, doc="weight of each spline, from black to white"
+    )
+
+
+@register
+def spline_curve(params: SplineCurve, image: RGB) -> RGB:
+    """A smooth tone curve, the same for every channel, linear in its parameters.
+
+    `y = x + sum_i offset_i B((N - 1) x - i)`, i = 0..N-1, B the uniform cubic B-spline; x is taken as
+    0 or 1 outside [0, 1] inside the sum. Nothing forces it to rise.
+
+    Args:
+        params: N >= 2 offsets; all 0 leave the image as it is.
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image.
+
+    Gradient: exact.
+
+    Source: de Boor 1978, "A Practical Guide to Splines".
+    """
+    count = params.offsets.shape[0]
+    at = (count - 1) * jnp.clip(image, 0, 1)
+    # the two splines whose centres lie outside go on with the first and last weight
+    weights = [params.offsets[min(max(i, 0), count - 1)] for i in range(-1, count + 1)]
+    return image + sum((w * _b_spline(at - i) for i, w in enumerate(weights, -1)), jnp.zeros_like(image))
+
+
+def _b_spline(u: jax.Array) -> jax.Array:
+    """The uniform cubic B-spline, 2/3 at 0 and 0 from 2 on."""
+    near, far = (jnp.maximum(n - jnp.abs(u), 0) for n in (1, 2))
+    return (far * far * far - 4 * near * near * near) / 6
+
+
+@parameters
+class SelectiveColor:
+    """Changes of six sectors of hue, from the hue of blue-yellow's positive axis, 60 degrees each."""
+
+    hue: Leaf = param((0.0,) * SECTORS, (-0.6, 0.6), "rad", doc="rotation of the hues of each sector")
+    saturation: Leaf = param((0.0,) * SECTORS, (-0.8, 0.8), "1", doc="chroma gain less 1 of each sector")
+    lightness: Leaf = param((0.0,) * SECTORS, (-0.8, 0.8), "1", doc="luma added per unit of chroma")
+
+
+@register
+def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
+    """Turn, saturate and lighten some hues more than others, as a colour look-up table does.
+
+    In Y'CbCr, with hue h = atan2(Cr, Cb) and w_k(h) six raised cosines that sum to 1:
+    chroma is turned by `sum_k w_k hue_k` and scaled by `1 + sum_k w_k saturation_k`;
+    `Y' += |C| sum_k w_k lightness_k`.
+
+    Args:
+        params: six numbers each; all 0 leave the image as it is, up to rounding.
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) encoded, not clipped. Greys stay grey.
+
+    Gradient: exact (at grey, where hue has none, that to the hue is 0).
+
+    Source: DNG Specification 1.6, ProfileHueSatMapData; the six-sector form is that of RAW converters.
+    """
+    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
+    colored = cb * cb + cr * cr > 1e-12
+    hue = jnp.arctan2(jnp.where(colored, cr, 0.0), jnp.where(colored, cb, 1.0))
+    weights = [_sector(hue - 2 * math.pi * k / SECTORS) for k in range(SECTORS)]
+    turn, gain, lift = (
+        sum((w * amounts[k] for k, w in enumerate(weights)), jnp.zeros_like(y))
+        for amounts in (params.hue, params.saturation, params.lightness)
+    )
+    cos, sin = (1 + gain) * jnp.cos(turn), (1 + gain) * jnp.sin(turn)
+    chroma = safe_sqrt(cb * cb + cr * cr)
+    return jnp.stack(ycbcr_to_rgb_planes(y + lift * chroma, cos * cb - sin * cr, sin * cb + cos * cr), -1)
+
+
+def _sector(angle: jax.Array) -> jax.Array:
+    """1 at its middle, 0 from the middle of the next on."""
+    width = 2 * math.pi / SECTORS
+    distance = jnp.abs(angle - 2 * math.pi * jnp.round(angle / (2 * math.pi)))
+    return jnp.where(distance < width, 0.5 + 0.5 * jnp.cos(math.pi * jnp.minimum(distance / width, 1)), 0)
+
+
+@parameters
+class LocalToneMapping:
+    """How the tone of a pixel follows the brightness around it."""
+
+    compression: Leaf = param(0.0, (-0.8, 0.8), "1", doc="exponent that the surround's brightness loses")
+    adaptation: Leaf = param(1.0, (0.0, 1.0), "share", doc="1 keeps the frame's own mean, 0 keeps 0.18")
+    detail: Leaf = param(0.0, (-0.8, 2.0), "1", doc="share of the difference to the surround that is added")
+    sigma: Leaf = param(14.0, (4.0, 40.0), "px", log=True, doc="standard deviation of the surround")
+
+
+@register
+def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
+    """Lift dark surroundings, hold back bright ones, and raise local contrast.
+
+    `y = x (m / k)**(-compression) + detail (Y - m)`, m the Gaussian mean of luma Y, no less than 0.004, and
+    `k = g**adaptation 0.18**(1 - adaptation)`, g the geometric mean of m over the frame.
+
+    Args:
+        params: compression, adaptation, detail, sigma [px].
+        image: (H, W, 3), linear light or encoded, any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image, not clipped. Compression 0 and detail 0 leave it as it is.
+
+    Gradient: exact.
+
+    Source: Tumblin & Turk 1999; Reinhard et al. 2002 (key of the frame, surround); Durand & Dorsey 2002
+    (base and detail), here with a linear base.
+    """
+    y = luma(*planes(image))
+    mean = wide_blur(y, params.sigma)
+    surround = jnp.log2(jnp.maximum(mean, 0.004))
+    key = params.adaptation * surround.mean() + (1 - params.adaptation) * math.log2(0.18)
+    gain = jnp.exp2(-params.compression * (surround - key))
+    return image * gain[..., None] + (params.detail * (y - mean))[..., None]
+
+
+def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:
+    """Gaussian mean of (H, W) for sigmas of 4 to 40 px, by way of the means of 4x4 blocks."""
+    h, w = plane.shape
+    rows, columns = (-n % _REDUCED for n in (h, w))
+    padded = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
+    small = padded.reshape((h + rows) // _REDUCED, _REDUCED, (w + columns) // _REDUCED, _REDUCED).mean((1, 3))
+    # a block and the linear interpolation back spread by themselves
+    spread = jnp.maximum((jnp.asarray(sigma, plane.dtype) / _REDUCED) ** 2 - 0.3, 0.1)
+    small = gaussian_blur(small, jnp.sqrt(spread), 30)
+    return jax.image.resize(small, padded.shape, "linear")[:h, :w]

@@ -1,0 +1,210 @@
+"""Smoothing and sharpening by several rival filters at once: what is known is that it was done, not how."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.domains import EncodedRGB, LinearRGB
+from jaxisp.numerics import materialize, per_plane, planes
+from jaxisp.params import Leaf, param, parameters
+from jaxisp.pipeline import register
+from jaxisp.stages.denoise.bilateral import bilateral_plane
+from jaxisp.stages.denoise.median import median_plane
+from jaxisp.windows import filter_rows_columns, gaussian_blur, pad, views
+
+Filter = Callable[[jax.Array], jax.Array]
+
+
+def _local_linear(plane: jax.Array, deviation: float, radius: int = 2) -> jax.Array:
+    """Lee 1980: what varies by less than `deviation` is averaged."""
+    taps = (1 / (2 * radius + 1),) * (2 * radius + 1)
+    mean, square = (materialize(filter_rows_columns(v, taps, taps)) for v in (plane, plane * plane))
+    variance = jnp.maximum(square - mean * mean, 1e-9)
+    return mean + jnp.maximum(1 - deviation**2 / variance, 0) * (plane - mean)
+
+
+LUMA_FILTERS: tuple[Filter, ...] = (
+    lambda y: bilateral_plane(y, y, 1.5, 0.03, 2),
+    lambda y: bilateral_plane(y, y, 2.0, 0.1, 3),
+    lambda y: median_plane(y, "3x3"),
+    lambda y: _local_linear(y, 0.01),
+    lambda y: _local_linear(y, 0.03),
+)
+CHROMA_FILTERS: tuple[Filter, ...] = (
+    lambda c: gaussian_blur(c, 1.0, 3),
+    lambda c: gaussian_blur(c, 2.5, 8),
+    lambda c: median_plane(c, "3x3"),
+    lambda c: median_plane(c, "5x5"),
+    lambda c: bilateral_plane(c, c, 2.0, 0.05, 3),
+)
+
+
+@parameters
+class LumaDenoising:
+    """The share of each filter."""
+
+    shares: Leaf = param(
+        (0.0,) * len(LUMA_FILTERS),
+        (-0.5, 1.5),
+        "1",
+        doc="bilateral (1.5 px, 0.03), bilateral (2 px, 0.1), median 3x3, local linear (0.01), (0.03)",
+    )
+
+
+@register
+def luma_denoising(params: LumaDenoising, image: EncodedRGB) -> EncodedRGB:
+    """Smooth luma with edges kept, by a mix of filters.
+
+    `Y' = Y + sum_k share_k (F_k(Y) - Y)`; chroma stays. A filter whose share is 0 is not run.
+
+    Args:
+        params: shares.
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) encoded, not clipped.
+
+    Gradient: exact.
+
+    Source: Tomasi & Manduchi 1998; Lee 1980, "Digital image enhancement and noise filtering by use of
+    local statistics".
+    """
+    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
+    return jnp.stack(ycbcr_to_rgb_planes(_mixed(y, params.shares, LUMA_FILTERS), cb, cr), -1)
+
+
+@parameters
+class ChromaDenoising:
+    """The share of each filter."""
+
+    shares: Leaf = param(
+        (0.0,) * len(CHROMA_FILTERS),
+        (-0.5, 1.5),
+        "1",
+        doc="Gaussian 1 px, Gaussian 2.5 px, median 3x3, median 5x5, bilateral (2 px, 0.05)",
+    )
+
+
+@register
+def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
+    """Smooth Cb and Cr, by a mix of filters.
+
+    `C' = C + sum_k share_k (F_k(C) - C)`; luma stays. A filter whose share is 0 is not run.
+
+    Args:
+        params: shares.
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) encoded, not clipped.
+
+    Gradient: exact.
+
+    Source: Jaroensri et al. 2019, section 3 (chroma is smoothed more than luma).
+    """
+    y, *chroma = rgb_to_ycbcr_planes(*planes(image))
+    cb, cr = (_mixed(c, params.shares, CHROMA_FILTERS) for c in chroma)
+    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), -1)
+
+
+def _mixed(plane: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:
+    change = jnp.zeros_like(plane)
+    for k, smooth in enumerate(filters):
+        run = lambda p, smooth=smooth: smooth(p) - p  # noqa: E731
+        difference = lax.cond(shares[k] != 0, run, jnp.zeros_like, plane)
+        change = change + shares[k] * difference
+    return plane + change
+
+
+WIDTHS = (0.7, 1.5, 3.0)
+"""Standard deviations of the masks of `sharpening` [px]."""
+
+
+@parameters
+class Sharpening:
+    """The amount of each width."""
+
+    amounts: Leaf = param((0.0,) * len(WIDTHS), (-0.5, 4.0), "1", doc="of masks of 0.7, 1.5 and 3 px")
+
+
+@register
+def sharpening(params: Sharpening, image: EncodedRGB) -> EncodedRGB:
+    """Unsharp masks of three widths on luma.
+
+    `y = x + sum_k amount_k (Y - G_k(Y))`, G_k a Gaussian; the same is added to every channel.
+
+    Args:
+        params: amounts.
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) encoded, not clipped.
+
+    Gradient: exact.
+
+    Source: Polesel, Ramponi & Mathews 2000; see `unsharp_mask`.
+    """
+    y = luma(*planes(image))
+    blurs = [partial(_gaussian, s) for s in WIDTHS]
+    return image + (y - _mixed(y, params.amounts, blurs))[..., None]
+
+
+def _gaussian(sigma: float, plane: jax.Array) -> jax.Array:
+    return gaussian_blur(plane, sigma, math.ceil(3 * sigma))
+
+
+STEPS = ((0, 1), (1, 1), (1, 0), (1, -1))
+
+
+@parameters
+class DirectionalBlur:
+    """How far the picture moved along four directions."""
+
+    lengths: Leaf = param(
+        (0.0,) * len(STEPS), (0.0, 12.0), "px", doc="along a row, down right, along a column, down left"
+    )
+
+
+@register
+def directional_blur(params: DirectionalBlur, image: LinearRGB) -> LinearRGB:
+    """Blur along straight lines: box means along four directions, one after another.
+
+    Along direction d: `y(p) = sum_k w_k x(p + k d)`, `w_k` the share of pixel k in a box of that length.
+    Two neighbouring directions together stand for one between them.
+
+    Args:
+        params: lengths.
+        image: (H, W, 3) linear light, any range.
+
+    Returns:
+        (H, W, 3) linear light. Borders are reflected; a length of 0 does nothing.
+
+    Gradient: exact (at 0, that of the side of larger lengths).
+
+    Source: Potmesil & Chakravarty 1983; see `motion_blur` for one path of any direction.
+    """
+    for length, (dy, dx) in zip(params.lengths, STEPS):
+        image = lax.cond(length > 0, partial(_moved_along, dy, dx), _as_it_is, image, length)
+    return image
+
+
+def _as_it_is(image: jax.Array, length: jax.Array) -> jax.Array:
+    return image
+
+
+def _moved_along(dy: int, dx: int, image: jax.Array, length: jax.Array) -> jax.Array:
+    return per_plane(lambda plane: _box_along(plane, length, dy, dx), image)
+
+
+def _box_along(plane: jax.Array, length: jax.Array, dy: int, dx: int, reach: int = 6) -> jax.Array:
+    unit = math.hypot(dy, dx)
+    steps = range(-reach, reach + 1)
+    inside = [jnp.clip(length / unit / 2 + 0.5 - abs(k), 0, 1) for k in steps]
+    weights = [w / sum(inside[1:], inside[0]) for w in inside]
+    moved = views(pad(plane, reach), [(k * dy, k * dx) for k in steps], reach)
+    return sum((w * v for w, v in zip(weights[1:], moved[1:])), weights[0] * moved[0])

@@ -1,0 +1,84 @@
+"""The whole diagnosis, on cameras that share no code with the package and whose effect it is not told."""
+
+import json
+
+import pytest
+
+from experiments.withheld.shoot import write
+from jaxisp.cli import main
+from jaxisp.errors import InputError
+from jaxisp.gap import EFFECTS, diagnose
+
+BODY = "birch"
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    """Reports by what the camera did; all of one body and size, so that they share a program."""
+
+    def report(name: str, level: int):
+        folder = tmp_path_factory.mktemp(name)
+        write(folder, BODY, {name: level}, size=128, count=6)
+        return diagnose(folder).report
+
+    cases = {"nothing": 1, "scene_gain": 1, "vignetting": 4, "chroma_denoising": 3, "color_lut": 4,
+             "local_tone_mapping": 4, "optical_blur": 3, "green_imbalance": 4, "date_stamp": 3}  # fmt: skip
+    return {name: report(name, level) for name, level in cases.items()}
+
+
+def named(report) -> set[str]:
+    """The first cause and what it cannot be told from."""
+    first = report["causes"][0] if report["causes"] else {"effect": None, "alternatives": []}
+    return {first["effect"], *first["alternatives"]}
+
+
+@pytest.mark.parametrize("harmless", ["nothing", "scene_gain"])
+def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
+    report = diagnosed[harmless]
+    assert report["verdict"] == "none" and report["causes"] == [] and report["where"] == []
+
+
+@pytest.mark.parametrize(
+    "effect",
+    ["vignetting", "chroma_denoising", "color_lut", "local_tone_mapping", "optical_blur", "green_imbalance"],
+)
+def test_the_effect_that_is_missing_is_named(diagnosed, effect):
+    report = diagnosed[effect]
+    assert report["verdict"] == "effect"
+    assert effect in named(report), [(r["effect"], round(r["closed"], 2)) for r in report["ranking"][:4]]
+    assert report["where"], "a gap is somewhere"
+
+
+def test_what_is_outside_the_vocabulary_is_not_closed(diagnosed):
+    report = diagnosed["date_stamp"]
+    gap = report["gap"]
+    assert gap["after"] - gap["floor"] > 0.3 * (gap["before"] - gap["floor"])
+
+
+def test_a_report_keeps_the_contract(diagnosed):
+    for report in diagnosed.values():
+        json.dumps(report, allow_nan=False)
+        gap = report["gap"]
+        assert gap["floor"] <= gap["before"] and report["schema"] == 1 and report["kind"] == "raw+jpeg"
+        assert not set(report["pairs"]["fit"]) & set(report["pairs"]["held_out"])
+        assert {r["effect"] for r in report["ranking"]} <= set(EFFECTS)
+        for cause in report["causes"]:
+            share = (cause["gap_before"] - cause["gap_after"]) / (gap["before"] - gap["floor"])
+            assert cause["closed"] == pytest.approx(share, rel=0.02)
+            assert cause["ci"][0] > 0.05 and 0 <= cause["p_value"] <= 1
+
+
+def test_the_command_writes_both_files(tmp_path, capsys):
+    write(tmp_path / "set", BODY, {"vignetting": 4}, size=128, count=4)
+    assert main(["diagnose", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == printed["verdict"]
+    assert "<html" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_what_is_excluded_is_not_named(tmp_path):
+    write(tmp_path, BODY, {"vignetting": 4}, size=128, count=4)
+    report = diagnose(tmp_path, exclude=["vignetting"]).report
+    assert "vignetting" not in {r["effect"] for r in report["ranking"]}
+    with pytest.raises(InputError, match="no effect named nonsense"):
+        diagnose(tmp_path, exclude=["nonsense"])

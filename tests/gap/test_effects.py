@@ -1,0 +1,92 @@
+"""Every effect is the identity while it is off, and does something at its probe."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.gap import EFFECTS, Effect, Move, register_effect
+from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.model import build, plain_camera, plain_freedom
+from jaxisp.gap.prepare import candidates
+from jaxisp.pipeline import Chain, run, stage
+from jaxisp.stages.balance import WhiteBalance
+from tests.conftest import smooth_image
+
+VOCABULARY = [
+    "vignetting", "color_shading", "lateral_chromatic_aberration", "optical_blur", "motion_blur",
+    "geometric_distortion", "veiling_glare", "black_level_offset", "noise_level", "row_noise",
+    "column_noise", "prnu", "correlated_noise", "heavy_tailed_noise", "hot_pixels", "green_imbalance",
+    "crosstalk", "adc_quantization", "highlight_clipping", "white_balance", "color_matrix", "color_lut",
+    "tone_curve", "local_tone_mapping", "saturation", "luma_denoising", "chroma_denoising",
+    "sharpening", "demosaicking", "resampling", "jpeg_quantization", "chroma_subsampling",
+    "double_compression", "film_grain",
+]  # fmt: skip
+
+
+def mosaics():
+    """From black to white, with detail and colour."""
+    ramp = np.linspace(0, 1, 48) ** 2
+    detail = np.stack([smooth_image((40, 48), seed) for seed in range(2)])
+    return jnp.asarray(np.clip(ramp + 0.3 * (detail - 0.5) * (ramp + 0.02), 0, 1), jnp.float32)
+
+
+@pytest.fixture(scope="module")
+def model():
+    chain, params = plain_camera("GRBG")
+    gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((2, 3), 1.1, np.float32))}
+    return build(chain, params, gains, plain_freedom(), candidates(RAW_JPEG))
+
+
+def test_the_vocabulary_is_complete():
+    assert set(VOCABULARY) <= set(EFFECTS)
+    for name in VOCABULARY:
+        effect = EFFECTS[name]
+        assert effect.axes and set(effect.axes) <= set(AXES)
+        assert set(effect.alternatives) <= set(EFFECTS), name
+    only_noisy = {n for n in VOCABULARY if EFFECTS[n].shows_in == (CLEAN_NOISY,)}
+    assert only_noisy == {
+        "motion_blur", "noise_level", "row_noise", "column_noise", "prnu", "correlated_noise",
+        "heavy_tailed_noise", "hot_pixels", "adc_quantization",
+    }  # fmt: skip
+
+
+def test_nothing_is_changed_while_all_are_off(model):
+    chain, params = plain_camera("GRBG")
+    own = params | {"mosaic_white_balance": WhiteBalance(gains=np.full(3, 1.1, np.float32))}
+    light = mosaics()
+    plain = np.stack([np.clip(run(chain, own, m), 0, 1) for m in light])
+    np.testing.assert_array_equal(model.render(np.zeros(len(model.coordinates)), light), plain)
+
+
+def test_every_move_shows(model):
+    light = mosaics()
+    before = model.render(np.zeros(len(model.coordinates)), light)
+    for i, (coordinate, step) in enumerate(zip(model.coordinates, model.steps)):
+        if coordinate.node == "demosaicking" and coordinate.move.index == (1,):
+            continue  # the base's own algorithm
+        z = np.zeros(len(model.coordinates))
+        z[i] = step
+        assert np.abs(model.render(z, light) - before).max() > 1e-4, coordinate
+
+
+def test_a_user_adds_an_effect_of_their_own():
+    own = Effect(
+        "warm_shadows", stage("spline_curve"), "encoded", (Move("offsets", 0.1, -1, 1, (0,)),), ("hue",)
+    )
+    try:
+        register_effect(own)
+        assert own in candidates(RAW_JPEG)
+        with pytest.raises(ValueError, match="registered already"):
+            register_effect(own)
+    finally:
+        del EFFECTS["warm_shadows"]
+    with pytest.raises(ValueError, match="unknown site"):
+        register_effect(Effect("x", stage("clip"), "nowhere", (), ()))
+
+
+def test_noise_effects_repeat_for_a_key():
+    chain = Chain((stage("column_noise", sensor=1),))
+    image = jnp.full((16, 16), 0.5)
+    one, two = (run(chain, chain.init(), image, jax.random.key(k)) for k in (0, 1))
+    np.testing.assert_array_equal(one, two)
