@@ -126,7 +126,8 @@ def agreement(ours: Any, theirs: Any) -> str:
     def smooth(x: Any) -> jax.Array:
         x = jnp.asarray(x).reshape(-1, *np.shape(x)[-3:])
         x = x[:, : x.shape[1] // 8 * 8, : x.shape[2] // 8 * 8]
-        return x.reshape(len(x), x.shape[1] // 8, 8, x.shape[2] // 8, 8, 3).mean((2, 4))
+        means = x.reshape(len(x), x.shape[1] // 8, 8, x.shape[2] // 8, 8, 3).mean((2, 4))
+        return means.reshape(-1, means.shape[2], 3)
 
     return f"PSNR {float(psnr(smooth(ours), smooth(theirs))):.1f} dB of 8x8 means"
 
