@@ -14,7 +14,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="of RAW+JPEG pairs; otherwise a plain one is fitted"
     )
-    command.add_argument("--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs")
+    command.add_argument("--recipe", metavar="RECIPE", help="of clean+noisy pairs; not used yet")
     command.add_argument("--exclude", default="", metavar="EFFECT,...", help="effects that are not tried")
 
 

@@ -18,7 +18,6 @@ from jaxisp.gap.which import Split, Tick
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
-from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 from jaxisp.stages.jpeg import JpegTables
@@ -124,7 +123,7 @@ class StatisticsProblem:
 
 
 def clean_problem(
-    loaded: Sequence[Loaded], recipe: Recipe | None, exclude: Sequence[str], seed: int, tick: Tick
+    loaded: Sequence[Loaded], exclude: Sequence[str], seed: int, tick: Tick
 ) -> tuple[StatisticsProblem, Split, dict[str, float], list[str], np.ndarray]:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics."""
     from jaxisp.gap.diagnose import halves
