@@ -103,15 +103,8 @@ class StatisticsProblem:
         return np.asarray(self.base_picture)
 
     def compute(self, which: Sequence[int]) -> None:
-        low, high = self.model.ranges
-        for i in which:
-            if i in self.columns:
-                continue
-            step = self.model.steps[i]
-            if not low[i] <= self.z[i] + step <= high[i]:
-                step = -step
-            moved = self.z.copy()
-            moved[i] += step
+        for i in set(which) - set(self.columns):
+            moved, step = self.model.probe(self.z, i)
             self.columns[i] = (self.simulated(moved) - self._simulated) / self.unit / step
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -95,6 +95,14 @@ class Model:
             return c.move.off
         return float(np.asarray(getattr(self.shared[c.node], c.move.field))[c.move.index])
 
+    def probe(self, z: np.ndarray, i: int) -> tuple[np.ndarray, float]:
+        """The point with coordinate i moved by its probe, to the side that its range allows, and the step."""
+        low, high = self.ranges
+        step = self.steps[i] if low[i] <= z[i] + self.steps[i] <= high[i] else -self.steps[i]
+        moved = z.copy()
+        moved[i] += step
+        return moved, float(step)
+
     def render(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, H, W, 3) encoded, clipped to [0, 1], of all pairs."""
         return np.asarray(_render(self.chain, self.per_pair, self.params(z), light, keys))

@@ -197,7 +197,3 @@ def _start(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
         own = run(balanced, {balanced.name: WhiteBalance(gains=np.asarray(gain, np.float32))}, mosaic)
         rgb.append(np.asarray(run(flat, flat.init(), own)))
     return start_matrix(np.stack(rgb), pairs.pictures, pairs.mask)
-
-
-def kind_of(loaded: Sequence[Loaded]) -> str:
-    return RAW_JPEG if loaded[0].raw is not None else "clean+noisy"

@@ -115,15 +115,8 @@ class Problem:
 
     def compute(self, which: Sequence[int]) -> None:
         """The columns of these coordinates at the point, as changes per unit."""
-        low, high = self.model.ranges
-        for i in which:
-            if i in self.columns:
-                continue
-            step = self.model.steps[i]
-            if not low[i] <= self.z[i] + step <= high[i]:
-                step = -step
-            moved = self.z.copy()
-            moved[i] += step
+        for i in set(which) - set(self.columns):
+            moved, step = self.model.probe(self.z, i)
             self.columns[i] = (self.picture(moved) - self.current) * (self.weight / np.float32(step))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

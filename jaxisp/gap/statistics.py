@@ -214,8 +214,3 @@ def tolerances() -> np.ndarray:
     """(F,) the differences that are taken for harmless."""
     kinds = [name.split()[0] for name in feature_names()]
     return np.array([MEAN_TOLERANCE if k == "mean" else TOLERANCES[k] for k in kinds])
-
-
-def axis_of(name: str) -> str:
-    """The contract's axis of a feature."""
-    return name.split()[1]
