@@ -14,9 +14,12 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
     demosaic_ahd,
     demosaic_bilinear,
+    demosaic_edge_aware,
+    demosaic_hamilton_adams,
     demosaic_hibbard,
     demosaic_malvar,
     demosaic_menon,
+    demosaic_vng,
 )
 from jaxisp.stages.jpeg import Jpeg, jpeg
 
@@ -26,6 +29,9 @@ DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "hibbard": demosaic_hibbard,
     "ahd": demosaic_ahd,
     "menon": demosaic_menon,
+    "hamilton-adams": demosaic_hamilton_adams,
+    "vng": demosaic_vng,
+    "edge-aware": demosaic_edge_aware,
 }
 
 
@@ -33,16 +39,14 @@ DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
 class Demosaicking:
     """The share of each algorithm."""
 
-    shares: Leaf = param(
-        (0.0,) * len(DEMOSAICKERS), (-0.5, 1.5), "1", doc="bilinear, Malvar, Hibbard, AHD, Menon"
-    )
+    shares: Leaf = param((0.0,) * len(DEMOSAICKERS), (-0.5, 1.5), "1", doc=", ".join(DEMOSAICKERS))
 
 
 @register
 def demosaicking(
     params: Demosaicking, image: Mosaic, *, cfa: str = "RGGB", algorithm: str = "malvar"
 ) -> CameraRGB:
-    """Demosaick by one of five algorithms, or a mix, the choice being a parameter.
+    """Demosaick by one of eight algorithms, or a mix, the choice being a parameter.
 
     `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap` all are).
 
@@ -50,7 +54,7 @@ def demosaicking(
         params: the shares.
         image: (H, W) linear light, any range.
         cfa: the pattern, row-major from the top-left.
-        algorithm: D, which all shares 0 leave: "bilinear", "malvar", "hibbard", "ahd" or "menon".
+        algorithm: D, which all shares 0 leave: one of `DEMOSAICKERS`.
 
     Returns:
         (H, W, 3) camera RGB.

@@ -4,6 +4,7 @@ import functools
 
 import colour
 import colour_demosaicing as peer
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,8 @@ from jaxisp.stages.demosaic.median import median_3x3
 from tests.conftest import smooth_image
 
 SHAPE = (29, 34)
-ALGORITHMS = ("demosaic_bilinear", "demosaic_malvar", "demosaic_hibbard", "demosaic_ahd", "demosaic_menon")
+NAMES = ("bilinear", "malvar", "hibbard", "ahd", "menon", "hamilton_adams", "vng", "edge_aware")
+ALGORITHMS = tuple(f"demosaic_{name}" for name in NAMES)
 PEERS = {
     "demosaic_bilinear": (peer.demosaicing_CFA_Bayer_bilinear, 1),
     "demosaic_malvar": (peer.demosaicing_CFA_Bayer_Malvar2004, 2),
@@ -244,7 +246,9 @@ def test_constant_colour_and_grey_ramp_come_back(name, cfa):
     np.testing.assert_allclose(got, inside(ramp, 8), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["demosaic_hibbard", "demosaic_ahd", "demosaic_menon"])
+@pytest.mark.parametrize(
+    "name", ["demosaic_hibbard", "demosaic_ahd", "demosaic_menon", "demosaic_hamilton_adams"]
+)
 @pytest.mark.parametrize("axis", [0, 1])
 def test_edge_of_constant_colour_difference_is_kept(name, axis):
     """A grey step along rows or columns: exact where the direction is followed."""
@@ -262,8 +266,8 @@ def test_directed_algorithms_beat_bilinear_on_a_photograph():
         return -10 * np.log10(np.mean((inside(got, 8) - inside(image, 8)) ** 2))
 
     bilinear = psnr("demosaic_bilinear")
-    for name in ("demosaic_malvar", "demosaic_hibbard", "demosaic_ahd", "demosaic_menon"):
-        assert psnr(name) > bilinear + 2, name
+    for name in set(NAMES) - {"bilinear", "edge_aware"}:
+        assert psnr(f"demosaic_{name}") > bilinear + 2, name
     assert psnr("demosaic_ahd") > psnr("demosaic_hibbard")
 
 
@@ -313,3 +317,44 @@ def test_options_out_of_range_are_refused():
         stage("demosaic_ahd", delta=0)({}, jnp.zeros(SHAPE))
     with pytest.raises(ValueError, match="passes"):
         stage("color_difference_median", passes=-1)({}, jnp.zeros((*SHAPE, 3)))
+
+
+# ---- against OpenCV, and the papers in plain loops
+
+
+@pytest.mark.parametrize("cfa", PATTERNS)
+@pytest.mark.parametrize("name, code", [("bilinear", ""), ("edge_aware", "_EA")])
+def test_matches_opencv_inside(name, code, cfa):
+    """Its 16 bits round each result; a scale that is a power of two leaves ties as they are."""
+    mosaic = np.round(40000 * mosaic_of(photograph(), cfa)).astype(np.uint16)
+    want = cv2.demosaicing(mosaic, getattr(cv2, f"COLOR_Bayer{cfa}2RGB{code}")) / 65536
+    got = run(f"demosaic_{name}", mosaic.astype(np.float32) / 65536, cfa=cfa)
+    np.testing.assert_allclose(inside(got, 2), inside(want, 2), atol=1.01 / 65536)
+
+
+def test_vng_is_nearer_to_opencv_than_any_other_is():
+    """OpenCV's takes 8 bits and averages interpolated neighbours: the family, not the same algorithm."""
+    mosaic = np.round(255 * mosaic_of(photograph()) ** 0.45).astype(np.uint8)
+    want = inside(cv2.demosaicing(mosaic, cv2.COLOR_BayerRGGB2RGB_VNG) / 255, 4)
+    error = {
+        n: np.mean((inside(run(f"demosaic_{n}", mosaic / np.float32(255)), 4) - want) ** 2) for n in NAMES
+    }
+    assert error.pop("vng") < 0.5 * min(error.values())
+
+
+def test_hamilton_adams_in_loops(x64):
+    mosaic = mosaic_of(photograph())[: SHAPE[0], : SHAPE[1]]
+    p = np.pad(mosaic, 3, mode="reflect")
+    at = np.asarray(masks(p.shape, shifted("RGGB", 1, 1))[1])
+    full = p.copy()
+    for y in range(2, p.shape[0] - 2):
+        for x in range(2, p.shape[1] - 2):
+            if at[y, x]:
+                continue
+            ends = [(p[y, x - 1], p[y, x + 1], p[y, x - 2] + p[y, x + 2]),
+                    (p[y - 1, x], p[y + 1, x], p[y - 2, x] + p[y + 2, x])]  # fmt: skip
+            costs = [abs(a - b) + abs(2 * p[y, x] - far) for a, b, far in ends]
+            guesses = [(a + b) / 2 + (2 * p[y, x] - far) / 4 for a, b, far in ends]
+            full[y, x] = np.mean(guesses) if costs[0] == costs[1] else guesses[int(costs[1] < costs[0])]
+    got = run("demosaic_hamilton_adams", mosaic)
+    np.testing.assert_allclose(got[..., 1], full[3:-3, 3:-3], atol=1e-12)

@@ -19,10 +19,15 @@ VARIANTS = [
     ("demosaic_ahd", {"cfa": "BGGR"}),
     ("demosaic_ahd", {"delta": 1, "variant": "libraw", "cfa": "GRBG"}),
     ("demosaic_ahd", {"median_passes": 1}),
+    ("demosaic_hamilton_adams", {"cfa": "GBRG"}),
+    ("demosaic_vng", {"cfa": "GRBG"}),
+    ("demosaic_edge_aware", {"cfa": "BGGR"}),
 ]
 
 
-@pytest.mark.parametrize("name", ["demosaic_hibbard", "demosaic_ahd", "demosaic_menon"])
+@pytest.mark.parametrize(
+    "name", [f"demosaic_{n}" for n in ("hibbard", "ahd", "menon", "hamilton_adams", "vng", "edge_aware")]
+)
 def test_gradient_holds_the_choice_constant(name, x64):
     """Between two changes of a choice the output is linear in the mosaic: the derivative says by how much."""
     mosaic, step = smooth_image(SHAPE), np.random.default_rng(1).standard_normal(SHAPE)

@@ -1,19 +1,25 @@
-"""Demosaicking: mosaic to camera RGB, by five algorithms, and the median that cleans up after them."""
+"""Demosaicking: mosaic to camera RGB, by eight algorithms, and the median that cleans up after them."""
 
 from jaxisp.stages.demosaic.ahd import demosaic_ahd
 from jaxisp.stages.demosaic.bilinear import demosaic_bilinear
+from jaxisp.stages.demosaic.edge_aware import demosaic_edge_aware
+from jaxisp.stages.demosaic.hamilton_adams import demosaic_hamilton_adams
 from jaxisp.stages.demosaic.hibbard import demosaic_hibbard
 from jaxisp.stages.demosaic.malvar import demosaic_malvar
 from jaxisp.stages.demosaic.median import color_difference_median
 from jaxisp.stages.demosaic.menon import demosaic_menon
 from jaxisp.stages.demosaic.strips import reach
+from jaxisp.stages.demosaic.vng import demosaic_vng
 
 __all__ = [
     "color_difference_median",
     "demosaic_ahd",
     "demosaic_bilinear",
+    "demosaic_edge_aware",
+    "demosaic_hamilton_adams",
     "demosaic_hibbard",
     "demosaic_malvar",
     "demosaic_menon",
+    "demosaic_vng",
     "reach",
 ]

@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from jaxisp.stages.demosaic import ahd, bilinear, hibbard, malvar, menon
+from jaxisp.stages.demosaic import ahd, bilinear, edge_aware, hamilton_adams, hibbard, malvar, menon, vng
 
-_REACH = {f"demosaic_{m.__name__.rpartition('.')[2]}": m.REACH for m in (bilinear, hibbard, malvar, menon)}
+_MODULES = (bilinear, edge_aware, hamilton_adams, hibbard, malvar, menon, vng)
+_REACH = {f"demosaic_{m.__name__.rpartition('.')[2]}": m.REACH for m in _MODULES}
 
 
 def reach(name: str, **static: Any) -> int:
