@@ -20,6 +20,7 @@ from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.registry import REGISTRY, Signature, register, sections, signature
 from jaxisp.selfcheck import check_backend
+from jaxisp.windows import in_strips_on_cpu
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
@@ -73,9 +74,15 @@ class Chain(Row):
         return _flow(self.nodes)[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        for i, node in enumerate(self.nodes):
-            # without this XLA's CPU backend recomputes one stencil inside the next
-            image = node.apply(params, materialize(image) if i else image, key)
+        from jaxisp.strips import parts  # which is made of this module
+
+        for nodes, reach, unit in parts(self.nodes):
+            part = functools.partial(_in_turn, nodes, stored=nodes[0] is self.nodes[0])
+            if not reach:
+                image = part(image, params, key)
+            else:
+                own = {name: params[name] for node in nodes for name in node.init() if name in params}
+                image = in_strips_on_cpu(part, image, reach, (own,), unit=unit)
         return image
 
     def without(self, *names: str) -> "Chain":
@@ -180,6 +187,15 @@ class Shuffle(Row):
             return lax.switch(which, branches, x), None
 
         return lax.scan(step, image, jnp.argsort(priority))[0]
+
+
+def _in_turn(
+    nodes: tuple[Node, ...], image: jax.Array, params: Params, key: jax.Array | None = None, *, stored: bool
+) -> jax.Array:
+    for i, node in enumerate(nodes):
+        # without this XLA's CPU backend recomputes one stencil inside the next
+        image = node.apply(params, image if stored and not i else materialize(image), key)
+    return image
 
 
 def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:

@@ -11,15 +11,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
-from jax import lax
 
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage
 from jaxisp.stages.demosaic.strips import reach as demosaic_reach
-
-ROWS = 64
-"""Rows of a strip: few enough for the caches, many enough that the rows around it cost little."""
+from jaxisp.windows import ROWS, in_strips
 
 _POINTWISE = (
     "adc_quantization", "affine_exposure", "black_level", "clip", "color_matrix", "exposure",
@@ -30,8 +26,12 @@ _POINTWISE = (
     "spline_curve", "srgb_eotf", "srgb_oetf", "tone_curve", "white_balance", "white_balance_temperature",
     "xyz_to_linear_srgb", "ycbcr_to_rgb", "zone_curve",
 )  # fmt: skip
-_DEMOSAICKERS = tuple(f"demosaic_{name}" for name in ("ahd", "bilinear", "hibbard", "malvar", "menon"))
+_DEMOSAICKERS = tuple(
+    f"demosaic_{name}"
+    for name in ("ahd", "bilinear", "edge_aware", "hamilton_adams", "hibbard", "malvar", "menon", "vng")
+)
 _ENCODERS = ("jpeg", "jpeg_photoshop", "jpeg_tables")
+_BLOCK, _CELL = 16, 2  # rows: a strip of blocks or of a mosaic's cells begins where one does
 _BLOCKS = 31
 """Of an encoder: to the far end of the next 16 x 16 block, from which chroma is interpolated."""
 
@@ -99,6 +99,22 @@ def run_in_strips(
     return image
 
 
+def parts(nodes: Iterable[Node]) -> Iterator[tuple[tuple[Node, ...], int | None, int]]:
+    """Nodes in a row, in groups that can run in strips together, each with its reach and the rows of a block.
+
+    An encoder is alone: in the strips that its blocks need, other stages would do more over again. So is a
+    node whose reach is not known.
+    """
+    for alone, group in itertools.groupby(nodes, lambda n: reach(n) is None or _encodes(n)):
+        together = tuple(group)
+        for some in [(n,) for n in together] if alone else [together]:
+            yield some, _total(some), _BLOCK if _encodes(some[0]) else _CELL
+
+
+def _encodes(node: Node) -> bool:
+    return any(s.fn.__name__ in _ENCODERS for s in node.stages())
+
+
 def _flat(node: Node) -> Iterator[Node]:
     """The nodes of chains within chains."""
     if not isinstance(node, Chain):
@@ -109,27 +125,7 @@ def _flat(node: Node) -> Iterator[Node]:
 
 
 def _in_strips(part: Chain, params: Params, image: jax.Array, rows: int) -> jax.Array:
-    # a strip begins where a cell of the mosaic or a block of an encoder does
-    unit = 16 if any(s.fn.__name__ in _ENCODERS for s in part.stages()) else 2
     far = _total(part.nodes)
     assert far is not None, "only these are put into a part"
-    height, halo = image.shape[0], -(-far // unit) * unit
-    step = -(-rows // unit) * unit
-    core = step + height % unit  # the last strip ends with the frame, and has the same shape as the others
-    window = core + 2 * halo
-    if window >= height:
-        return part.apply(params, image, None)
-
-    def one(top: Any) -> jax.Array:
-        return part.apply(params, lax.dynamic_slice_in_dim(image, top, window), None)
-
-    def body(i: jax.Array, frame: jax.Array) -> jax.Array:
-        start = jnp.minimum(i * step, height - core)
-        # within the frame: so borders are treated where the frame's are
-        top = jnp.clip(start - halo, 0, height - window)
-        strip = lax.dynamic_slice_in_dim(one(top), start - top, core)
-        return lax.dynamic_update_slice_in_dim(frame, strip, start, axis=0)
-
-    like = jax.eval_shape(one, 0)
-    empty = jnp.zeros((height, *like.shape[1:]), like.dtype)
-    return lax.fori_loop(0, -(-(height - core) // step) + 1, body, empty)
+    unit = _BLOCK if _encodes(part) else _CELL
+    return in_strips(lambda strip: part.apply(params, strip, None), image, far, rows=rows, unit=unit)

@@ -4,7 +4,7 @@ The form that is fast: pad once, a barrier, then static slices. Convolutions thr
 40 to 60 times slower on a CPU.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -17,6 +17,9 @@ from jaxisp.linear import inner_product, linear_call, scaled
 from jaxisp.numerics import materialize, safe_divide
 
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
+_LARGE, _STRIP = 1 << 18, 1 << 17  # px: a frame that is worth strips, and one of them
+ROWS = 64
+"""Rows of a strip: few enough for the caches, many enough that the rows around it cost little."""
 
 
 def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") -> jax.Array:
@@ -48,6 +51,85 @@ def square(radius: int) -> list[tuple[int, int]]:
     """All (dy, dx) of the window of that radius, row by row."""
     span = range(-radius, radius + 1)
     return [(dy, dx) for dy in span for dx in span]
+
+
+def in_strips(fn: Callable[[Any], Any], image: Any, reach: int, *, rows: int = ROWS, unit: int = 2) -> Any:
+    """`fn(image)`, strip of rows by strip, in the memory of a strip.
+
+    Args:
+        fn: from what `image` is to a pytree of arrays with the rows first. It may depend on a row's
+            parity or on its place in a block, not on more of where it stands.
+        image: (H, W) or (H, W, C), or a pytree of such.
+        reach: how far from a row its result depends on the image [rows].
+        rows: of a strip.
+        unit: rows of a block, 2 for a mosaic: a strip begins where one does.
+    """
+    height, halo = jax.tree.leaves(image)[0].shape[0], -(-reach // unit) * unit
+    step = -(-rows // unit) * unit
+    core = step + height % unit  # the last strip ends with the frame, and has the same shape as the others
+    window = core + 2 * halo
+    if window >= height:
+        return fn(image)
+
+    def one(top: Any) -> Any:
+        # stored before and after, or each read of a strip works out where it is: 2 to 4 times slower
+        strip = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, top, window), image)
+        return materialize(fn(materialize(strip)))
+
+    def body(i: jax.Array, frame: Any) -> Any:
+        start = jnp.minimum(i * step, height - core)
+        # within the frame: so borders are treated where the frame's are
+        top = jnp.clip(start - halo, 0, height - window)
+        done = jax.tree.map(lambda s: lax.dynamic_slice_in_dim(s, start - top, core), one(top))
+        return jax.tree.map(lambda f, s: lax.dynamic_update_slice_in_dim(f, s, start, axis=0), frame, done)
+
+    empty = jax.tree.map(lambda s: jnp.zeros((height, *s.shape[1:]), s.dtype), jax.eval_shape(one, 0))
+    return lax.fori_loop(0, -(-(height - core) // step) + 1, body, empty)
+
+
+def in_strips_on_cpu(
+    fn: Callable[..., Any], image: Any, reach: int, others: tuple[Any, ...] = (), unit: int = 2
+) -> Any:
+    """`fn(image, *others)`; on a CPU `in_strips` where the frame is large.
+
+    Its scratch memory would take longer to get than strips take more: the C library has blocks of over
+    32 MB from the system anew at every call, page by page.
+
+    Gradient: that of `fn` on the whole frame.
+    """
+    height, width = jax.tree.leaves(image)[0].shape[:2]
+    if height < 4 * ROWS or height * width < _LARGE:
+        return fn(image, *others)
+    rows = max(ROWS, _STRIP // width, 12 * reach)
+    leaves, tree = jax.tree.flatten((image, *others))
+
+    def whole(*leaves: jax.Array) -> Any:
+        return fn(*jax.tree.unflatten(tree, leaves))
+
+    def strips(*leaves: jax.Array) -> Any:
+        image, *others = jax.tree.unflatten(tree, leaves)
+        return in_strips(lambda strip: fn(strip, *others), image, reach, rows=rows, unit=unit)
+
+    return _stripped(whole, strips, *leaves)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _stripped(whole: Callable[..., Any], strips: Callable[..., Any], *leaves: Any) -> Any:
+    return lax.platform_dependent(*leaves, cpu=strips, default=whole)
+
+
+def _stripped_jvp(
+    whole: Callable[..., Any], strips: Callable[..., Any], primals: Any, tangents: Any
+) -> tuple[Any, Any]:
+    moving = [i for i, t in enumerate(tangents) if not isinstance(t, SymbolicZero)]
+
+    def of(*moved: Any) -> Any:
+        return whole(*(moved[moving.index(i)] if i in moving else p for i, p in enumerate(primals)))
+
+    return jax.jvp(of, [primals[i] for i in moving], [tangents[i] for i in moving])
+
+
+_stripped.defjvp(_stripped_jvp, symbolic_zeros=True)
 
 
 def filter_rows_columns(

@@ -6,12 +6,15 @@ The blurs are in `jaxisp.stages.blur`. Radii here are measured from the image ce
 
 import math
 from functools import reduce
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import planes
+from jaxisp.linear import linear_call
+from jaxisp.numerics import materialize, planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.blur import defocus as defocus
@@ -20,6 +23,8 @@ from jaxisp.stages.blur import optical_blur as optical_blur
 from jaxisp.windows import pad, views
 
 _MOST_SCALING = 0.0102  # of |1/scale - 1| within the bounds of LateralChromaticAberration
+Places = tuple[jax.Array, jax.Array, jax.Array]  # an image, and rows and columns in it
+_STRIP = 1 << 16  # px whose gradient goes back at once: the memory of a large frame's would take long to get
 _MOST_SHIFTS = 3  # px; beyond this displacement gathers cost less than sums over shifted views
 
 
@@ -116,17 +121,53 @@ def _magnified(plane: jax.Array, scale: jax.Array) -> jax.Array:
     dy, dx = change * y, change * x
     reach_y, reach_x = (math.ceil(_MOST_SCALING * (n - 1) / 2) for n in plane.shape)
     if max(reach_y, reach_x) > _MOST_SHIFTS:
-        return _displaced(plane[..., None], dy, dx)[..., 0]
+        return materialize(_picked(materialize(_picked(plane, dy[:, 0], 0)), dx[0], 1))
     return _shifted(_shifted(plane, dy, 0, reach_y), dx, 1, reach_x)
+
+
+def _picked(plane: jax.Array, offset: jax.Array, axis: int) -> jax.Array:
+    """Linear interpolation at `offset` px from each row, or column; borders are replicated."""
+    n = plane.shape[axis]
+    place = jnp.clip(jnp.arange(n, dtype=offset.dtype) + offset, 0, n - 1)
+    first = lax.stop_gradient(_first(place, n))
+    share, index = jnp.expand_dims(place - first, 1 - axis), first.astype(jnp.int32)
+    here, there = (jnp.take(plane, i, axis, mode="clip") for i in (index, index + 1))
+    return here + share * (there - here)
 
 
 def _shifted(plane: jax.Array, offset: jax.Array, axis: int, reach: int) -> jax.Array:
     """Linear interpolation at `offset` px along an axis, |offset| <= reach: its gradient needs no scatter."""
     offset = jnp.clip(offset, -reach, reach)  # only out of bounds does this change anything
-    radius = (reach, 0) if axis == 0 else (0, reach)
-    steps = range(-reach, reach + 1)
-    moved = views(pad(plane, radius, "edge"), [(d, 0) if axis == 0 else (0, d) for d in steps], radius)
+    return linear_call(
+        lambda o, x: _read_shifted(x, o, axis, reach),
+        lambda o, y: _spread_shifted(y, o, axis, reach),
+        offset,
+        plane,
+    )
+
+
+def _read_shifted(plane: jax.Array, offset: jax.Array, axis: int, reach: int) -> jax.Array:
+    radius, steps = _along(axis, reach), range(-reach, reach + 1)
+    moved = views(pad(plane, radius, "edge"), [_along(axis, d) for d in steps], radius)
     return reduce(jnp.add, (_tent(offset - d) * v for d, v in zip(steps, moved)))
+
+
+def _spread_shifted(cotangent: jax.Array, offset: jax.Array, axis: int, reach: int) -> jax.Array:
+    """The transpose of `_read_shifted`, as reads of a wider frame, whose border is then folded back."""
+    values = pad(cotangent, _along(axis, 2 * reach), "constant")
+    offsets = pad(offset, _along(axis, 2 * reach), "edge")
+    size = cotangent.shape[axis] + 2 * reach
+
+    def at(x: jax.Array, d: int) -> jax.Array:
+        return lax.slice_in_dim(x, reach - d, reach - d + size, axis=axis)
+
+    wide = reduce(jnp.add, (_tent(at(offsets, d) - d) * at(values, d) for d in range(-reach, reach + 1)))
+    fold = jax.linear_transpose(lambda x: pad(x, _along(axis, reach), "edge"), cotangent)
+    return fold(materialize(wide))[0]
+
+
+def _along(axis: int, step: int) -> tuple[int, int]:
+    return (step, 0) if axis == 0 else (0, step)
 
 
 def _tent(u: jax.Array) -> jax.Array:
@@ -171,20 +212,100 @@ def _displaced(image: jax.Array, dy: jax.Array, dx: jax.Array) -> jax.Array:
     h, w = image.shape[:2]
     y = jnp.clip(jnp.arange(h, dtype=dy.dtype)[:, None] + dy, 0, h - 1)
     x = jnp.clip(jnp.arange(w, dtype=dx.dtype) + dx, 0, w - 1)
-    # the last pixel is reached as the far end of an interval, or is the only one
-    top = jnp.clip(jnp.floor(y), 0, max(h - 2, 0))
-    left = jnp.clip(jnp.floor(x), 0, max(w - 2, 0))
+    return _sampled(jnp.asarray(image), jnp.broadcast_to(y, (h, w)), jnp.broadcast_to(x, (h, w)))
+
+
+@jax.custom_jvp
+def _sampled(image: jax.Array, y: jax.Array, x: jax.Array) -> jax.Array:
+    """Bilinear samples of (H, W, C) at rows y and columns x, which are within it."""
+    a, right, down, across, fy, fx = _corners(image, y, x)
+    return a + fx * right + fy * (down + fx * across)
+
+
+@_sampled.defjvp
+def _sampled_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    return _sampled(*primals), linear_call(_moved, _returned, primals, tangents)
+
+
+def _corners(image: jax.Array, y: jax.Array, x: jax.Array) -> tuple[jax.Array, ...]:
+    """Of the four pixels around each place: the first, the differences to the right and down from it and
+    the second difference; and the place between them."""
+    h, w, channels = image.shape
+    top, left = _first(y, h), _first(x, w)
     down, right = min(h - 1, 1) * w, min(w - 1, 1)
-    fy, fx = (y - top)[..., None], (x - left)[..., None]
     index = top.astype(jnp.int32) * w + left.astype(jnp.int32)
-    flat = jnp.asarray(image).reshape(h * w, -1)
+    flat = image.reshape(h * w, channels)
+    a, b, c, d = (
+        flat.at[index + step].get(mode="promise_in_bounds") for step in (0, right, down, down + right)
+    )
+    return a, b - a, c - a, (d - c) - (b - a), (y - top)[..., None], (x - left)[..., None]
 
-    def pick(step: int) -> jax.Array:
-        return flat.at[index + step].get(mode="promise_in_bounds")
 
-    upper = pick(0) + fx * (pick(right) - pick(0))
-    lower = pick(down) + fx * (pick(down + right) - pick(down))
-    return upper + fy * (lower - upper)
+def _first(place: jax.Array, size: int) -> jax.Array:
+    # the last pixel is reached as the far end of an interval, or is the only one
+    return jnp.clip(jnp.floor(place), 0, max(size - 2, 0))
+
+
+def _slopes(image: jax.Array, y: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    _, right, down, across, fy, fx = _corners(image, y, x)
+    return down + fx * across, right + fy * across
+
+
+def _moved(primals: Places, tangents: Places) -> jax.Array:
+    (image, y, x), (d_image, dy, dx) = primals, tangents
+    by_y, by_x = _slopes(image, y, x)
+    return _sampled(d_image, y, x) + by_y * dy[..., None] + by_x * dx[..., None]
+
+
+def _returned(primals: Places, cotangent: jax.Array) -> Places:
+    """The transpose of `_moved`; on a CPU in strips of a large frame, whose memory would take long to get."""
+    h, w = cotangent.shape[:2]
+    rows = max(1, _STRIP // w)
+
+    def whole(image: jax.Array, y: jax.Array, x: jax.Array, cotangent: jax.Array) -> Places:
+        return _returned_rows(jnp.zeros_like(image), image, y, x, cotangent)
+
+    def strips(image: jax.Array, *full: jax.Array) -> Places:
+        def body(i: jax.Array, results: Places) -> Places:
+            start = jnp.minimum(i * rows, h - rows)  # so the last may begin within the one before
+            y, x, slope = materialize([lax.dynamic_slice_in_dim(v, start, rows) for v in full])
+            fresh = jnp.arange(rows)[:, None, None] >= i * rows - start
+            total, *places = _returned_rows(results[0], image, y, x, slope, fresh)
+            put = [lax.dynamic_update_slice_in_dim(v, p, start, 0) for v, p in zip(results[1:], places)]
+            return total, put[0], put[1]
+
+        plane = jnp.zeros((h, w), image.dtype)
+        return lax.fori_loop(0, -(-h // rows), body, (jnp.zeros_like(image), plane, plane))
+
+    if h <= 2 * rows:
+        return whole(*primals, cotangent)
+    return lax.platform_dependent(*primals, cotangent, cpu=strips, default=whole)
+
+
+def _returned_rows(
+    total: jax.Array, image: jax.Array, y: jax.Array, x: jax.Array, cotangent: jax.Array, fresh: Any = True
+) -> Places:
+    """`_returned` of some rows, those that are fresh added to the image's cotangent."""
+    to_y, to_x = (jnp.sum(cotangent * slope, axis=-1) for slope in _slopes(image, y, x))
+    return _spread(total, y, x, jnp.where(fresh, cotangent, 0)), to_y, to_x
+
+
+def _spread(total: jax.Array, y: jax.Array, x: jax.Array, values: jax.Array) -> jax.Array:
+    """Add values to the pixels they were sampled from: two of a row at once, 3 times as fast as singly."""
+    h, w, channels = total.shape
+    if min(h, w) < 2:
+        back = jax.linear_transpose(lambda image: _sampled.fun(image, y, x), total)(values)[0]
+        return total + back
+    top, left = _first(y, h), _first(x, w)
+    fy, fx = (y - top)[..., None], (x - left)[..., None]
+    index = channels * (top.astype(jnp.int32) * w + left.astype(jnp.int32)).reshape(-1, 1)
+    numbers = lax.ScatterDimensionNumbers((1,), (), (0,))
+    flat = total.reshape(-1)
+    for step, share in ((0, 1 - fy), (w * channels, fy)):
+        pairs = jnp.concatenate([share * (1 - fx) * values, share * fx * values], axis=-1)
+        updates, mode = pairs.reshape(-1, 2 * channels), lax.GatherScatterMode.PROMISE_IN_BOUNDS
+        flat = lax.scatter_add(flat, index + step, materialize(updates), numbers, mode=mode)
+    return flat.reshape(total.shape)
 
 
 @parameters

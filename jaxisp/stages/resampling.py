@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.domains import RGB
-from jaxisp.numerics import per_plane, safe_divide
+from jaxisp.numerics import materialize, per_plane, planes, safe_divide
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -26,6 +26,9 @@ def _keys(t: Any) -> Any:
 
 
 KERNELS = {"bilinear": _triangle, "bicubic": _keys}
+_SUPPORT = {"bilinear": 1, "bicubic": 2}  # of a kernel, to either side
+_BLOCK = 64  # rows of a block of a banded matrix
+_LARGEST = 4  # factor of `Resampling`
 METHODS = {"bilinear": "linear", "bicubic": "cubic", "lanczos3": "lanczos3"}
 
 
@@ -89,7 +92,7 @@ def _on_both_axes(plane: jax.Array, rows: jax.Array, columns: jax.Array) -> jax.
 class Resampling:
     """How far the picture was shrunk before it was enlarged again."""
 
-    factor: Leaf = param(1.5, (1.0, 4.0), "1", log=True, doc="size over the smaller size")
+    factor: Leaf = param(1.5, (1.0, float(_LARGEST)), "1", log=True, doc="size over the smaller size")
 
 
 @register
@@ -116,8 +119,13 @@ def resampling(params: Resampling, image: RGB, *, method: str = "bilinear") -> R
     """
     if method not in KERNELS:
         raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {method!r}")
-    rows, columns = (_there_and_back(n, params.factor.astype(image.dtype), method) for n in image.shape[:2])
-    return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
+    factor, band = params.factor.astype(image.dtype), _BLOCK + 4 * _SUPPORT[method] * _LARGEST
+    if min(image.shape[:2]) <= 2 * band:
+        rows, columns = (_there_and_back(n, factor, method) for n in image.shape[:2])
+        return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
+    rows, columns = (_blocks(n, factor, method) for n in image.shape[:2])
+    turned = [materialize(_along_rows(p, rows)) for p in planes(image)]
+    return jnp.stack([_along_rows(p, columns) for p in turned], axis=-1)
 
 
 def _there_and_back(size: int, factor: jax.Array, method: str) -> jax.Array:
@@ -131,3 +139,35 @@ def _there_and_back(size: int, factor: jax.Array, method: str) -> jax.Array:
     shrink = jnp.where(exists[:, None], shrink, 0) / jnp.where(exists, shrink.sum(1), 1)[:, None]
     enlarge = safe_divide(enlarge, enlarge.sum(1, keepdims=True))
     return jnp.matmul(enlarge, shrink, precision=lax.Precision.HIGHEST)
+
+
+def _blocks(size: int, factor: jax.Array, method: str) -> jax.Array:
+    """(n, T, T + 2 m): the blocks of `_there_and_back` on its diagonal, with the m columns around each.
+
+    The matrix is 0 further than m from the diagonal, which is the support of both kernels together.
+    """
+    kernel, support = KERNELS[method], _SUPPORT[method]
+    margin = 2 * support * _LARGEST
+    start = jnp.arange(0, size, _BLOCK, dtype=factor.dtype)[:, None]
+    i = start + jnp.arange(_BLOCK, dtype=factor.dtype)
+    k = start - margin + jnp.arange(_BLOCK + 2 * margin, dtype=factor.dtype)
+    first = lax.stop_gradient(jnp.ceil((start + 0.5) / factor - 0.5 - support))
+    j = first + jnp.arange(_BLOCK + 2 * support, dtype=factor.dtype)
+    exists = (j >= 0) & (j * factor < size - 1e-3)
+    inside = (k >= 0) & (k < size)
+    shrink = kernel(((j[..., None] + 0.5) * factor - 0.5 - k[:, None]) / factor) * inside[:, None]
+    enlarge = kernel((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None]
+    # a row of which next to nothing is in the block belongs to a sample that the block does not use
+    shrink = safe_divide(shrink, shrink.sum(2, keepdims=True), 0.1)
+    enlarge = safe_divide(enlarge, enlarge.sum(2, keepdims=True))
+    return jnp.matmul(enlarge, shrink, precision=lax.Precision.HIGHEST)
+
+
+def _along_rows(plane: jax.Array, blocks: jax.Array) -> jax.Array:
+    """(W, H): the transpose of the matrix of `_blocks` times (H, W). The product leaves it so at no cost."""
+    (height, width), (n, rows, band) = plane.shape, blocks.shape
+    margin = (band - rows) // 2
+    padded = jnp.pad(plane, ((rows, (n + 1) * rows - height), (0, 0))).reshape(n + 2, rows, width)
+    window = jnp.concatenate([padded[:n, rows - margin :], padded[1:-1], padded[2:, :margin]], axis=1)
+    turned = jnp.einsum("nbw,nrb->nwr", materialize(window), blocks, precision=lax.Precision.HIGHEST)
+    return jnp.moveaxis(turned, 0, 1).reshape(width, n * rows)[:, :height]

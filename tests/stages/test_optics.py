@@ -182,6 +182,22 @@ def test_no_distortion_is_the_identity():
     np.testing.assert_array_equal(apply(optics.GeometricDistortion(), image), image)
 
 
+@pytest.mark.parametrize("shape", [(23, 31, 3), (23, 401, 3), (1, 9, 3), (9, 1, 3)])
+@pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
+def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shape, monkeypatch, x64):
+    """Forward and reverse mode are written separately; these few pixels are large enough for strips here."""
+    monkeypatch.setattr(optics, "_STRIP", 5 * shape[1])
+    monkeypatch.setattr(optics, "_MOST_SHIFTS", 1)  # so that the wide image is sampled, the others shifted
+    node = stage(name)
+    params = jax.tree.map(lambda v: jnp.asarray(v, float) + 0.0071, node.init())
+    image, change, weights = np.random.default_rng(0).random((3, *shape))
+    moved = jax.tree.map(lambda v: jnp.full_like(v, 0.5), params)
+    _, tangent = jax.jvp(lambda p, x: node(p, x), (params, image), (moved, change))
+    by_params, by_image = jax.vjp(lambda p, x: node(p, x), params, image)[1](jnp.asarray(weights))
+    backward = sum(0.5 * v for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
+    np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
+
+
 @pytest.mark.parametrize("k1", [-0.2, 0.2])
 def test_distortion_never_folds(k1):
     """At the bounds the sampled radius still grows outwards."""

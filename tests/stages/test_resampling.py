@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.stages.resampling import Resampling, resampling, resize
+from jaxisp.stages.resampling import Resampling, _there_and_back, resampling, resize
 from tests.conftest import smooth_image
 
 FILTERS = {
@@ -65,6 +65,33 @@ def test_resampling_is_pillow_there_and_back(method):
         small = pillow(IMAGE, (round(24 / factor), round(40 / factor)), method)
         want = pillow(small, (24, 40), method)
         np.testing.assert_allclose(run(jnp.float32(factor), IMAGE), want, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["bilinear", "bicubic"])
+def test_resampling_of_a_large_image_is_banded_and_the_same(method):
+    """In blocks, beside Pillow and beside the full matrices, and so are the gradients."""
+    image = smooth_image((240, 301, 3), 3).astype(np.float32)
+    weights = np.random.default_rng(0).standard_normal(image.shape).astype(np.float32)
+
+    def whole(factor, x):
+        rows, columns = (_there_and_back(n, factor, method) for n in x.shape[:2])
+        return jnp.einsum("ab,bcd,ec->aed", rows, x, columns, precision="highest")
+
+    def blocks(factor, x):
+        return resampling(Resampling(factor=factor), x, method=method)
+
+    calls = [
+        jax.jit(jax.value_and_grad(lambda f, x, c=c: jnp.sum(weights * c(f, x)), argnums=1))
+        for c in (blocks, whole)
+    ]
+    for factor in (1.0, 1.37, 2.0, 4.0):
+        got, want = (call(jnp.float32(factor), image) for call in calls)
+        np.testing.assert_allclose(got[1], want[1], atol=2e-6)
+    slopes = [jax.jit(jax.grad(lambda f, c=c: jnp.mean(weights * c(f, image)))) for c in (blocks, whole)]
+    np.testing.assert_allclose(*(slope(jnp.float32(1.9)) for slope in slopes), rtol=1e-3)
+    even = image[:, :300]
+    want = pillow(pillow(even, (120, 150), method), even.shape[:2], method)
+    np.testing.assert_allclose(blocks(jnp.float32(2.0), even), want, atol=2e-6)
 
 
 def test_resampling_keeps_constants_at_any_factor_and_size():

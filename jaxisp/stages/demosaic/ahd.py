@@ -25,7 +25,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.homogeneity import homogeneity_lead
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
-from jaxisp.windows import pad
+from jaxisp.windows import in_strips_on_cpu, pad
 
 
 @register
@@ -91,6 +91,11 @@ class _Options(NamedTuple):
 
 def _evaluate(how: _Options, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """The picture, and the decisions: the share of the candidate along rows, then LibRaw's."""
+    rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, reach(how.delta))
+    return jnp.stack(rgb, axis=how.axis), decisions
+
+
+def _chosen(how: _Options, image: jax.Array) -> tuple[Planes, tuple[jax.Array, ...]]:
     at = sites(image.shape, how.cfa)
     if how.libraw:
         greens, choices = materialize(clamped_greens(at, image))
@@ -119,7 +124,7 @@ def _decided(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:
     rows, columns = (materialize(_candidate(at, image, green)) for green in materialize(greens))
     if how.libraw:
         rows, columns = _masked(rows, *decisions[2:4]), _masked(columns, *decisions[4:6])
-    return _blend(how, share, rows, columns)
+    return jnp.stack(_blend(how, share, rows, columns), axis=how.axis)
 
 
 def _candidate(at: Sites, mosaic: jax.Array, green: jax.Array) -> Planes:
@@ -135,12 +140,12 @@ def _masked(rgb: Planes, red_within: jax.Array, blue_within: jax.Array) -> Plane
     return jnp.where(red_within, rgb[0], 0), rgb[1], jnp.where(blue_within, rgb[2], 0)
 
 
-def _blend(how: _Options, share: jax.Array, rows: Planes, columns: Planes) -> jax.Array:
+def _blend(how: _Options, share: jax.Array, rows: Planes, columns: Planes) -> Planes:
     def of(row: jax.Array, column: jax.Array) -> jax.Array:
         other = jnp.where(share == 0, column, 0.5 * (row + column)) if how.libraw else column
         return jnp.where(share == 1, row, other)
 
-    return jnp.stack([of(r, c) for r, c in zip(rows, columns, strict=True)], axis=how.axis)
+    return of(rows[0], columns[0]), of(rows[1], columns[1]), of(rows[2], columns[2])
 
 
 def _collect(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """The 3x3 median as a network, and the colour-difference median that removes false colour."""
 
-from functools import reduce
+from functools import partial, reduce
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Planes
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
-from jaxisp.windows import pad, square, views
+from jaxisp.windows import in_strips_on_cpu, pad, square, views
 
 
 def median_3x3(plane: jax.Array) -> jax.Array:
@@ -23,12 +23,15 @@ def median_3x3(plane: jax.Array) -> jax.Array:
 
 def _evaluate(plane: jax.Array) -> tuple[jax.Array, Pair]:
     """The medians, and what tells which samples they are."""
+    median = materialize(in_strips_on_cpu(_medians, plane, 1))
+    return median, (plane, median)
+
+
+def _medians(plane: jax.Array) -> jax.Array:
     window = views(pad(plane, 1), square(1), 1)
     columns = [_sort_three(window[i], window[i + 3], window[i + 6]) for i in range(3)]
     lows, middles, highs = zip(*columns, strict=True)
-    median = _middle(reduce(_high, lows), _middle(*middles), reduce(_low, highs))
-    median = materialize(median)
-    return median, (plane, median)
+    return _middle(reduce(_high, lows), _middle(*middles), reduce(_low, highs))
 
 
 def _is_median(plane: jax.Array, median: jax.Array) -> list[jax.Array]:
@@ -80,6 +83,10 @@ def smooth_differences(rgb: Planes, passes: int) -> Planes:
         raise ValueError(f"passes of the colour-difference median must be 0 or more, got {passes}")
     if passes == 0:
         return rgb
+    return in_strips_on_cpu(partial(_smooth_differences, passes), rgb, 2 * passes)
+
+
+def _smooth_differences(passes: int, rgb: Planes) -> Planes:
     red, green, blue = rgb
     median = jax.vmap(median_3x3)  # both at once: half the kernels
     differences = materialize(jnp.stack([red - green, blue - green]))

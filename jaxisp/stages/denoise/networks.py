@@ -1,13 +1,14 @@
 """Medians by comparator networks: exact, branch-free, minima and maxima only."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from jaxisp.numerics import materialize
 from jaxisp.stages.denoise.filters import reflect
-from jaxisp.windows import views
+from jaxisp.windows import in_strips_on_cpu, views
 
 Network = tuple[tuple[int, int], ...]
 """Comparators (i, j): wire i gets the smaller and wire j the larger, in order."""
@@ -40,10 +41,14 @@ CROSS = ((-1, 0), (0, -1), (0, 0), (0, 1), (1, 0))
 
 
 def compare(values: list[jax.Array], network: Network) -> list[jax.Array]:
-    """The wires after the network; what the caller does not use is never computed."""
+    """The wires after the network; what the caller does not use is never computed.
+
+    Written as selections, each is one instruction: jnp.minimum takes three, to pass on NaN.
+    """
     values = list(values)
     for i, j in network:
-        values[i], values[j] = jnp.minimum(values[i], values[j]), jnp.maximum(values[i], values[j])
+        a, b = values[i], values[j]
+        values[i], values[j] = jnp.where(a < b, a, b), jnp.where(a < b, b, a)
     return values
 
 
@@ -54,15 +59,15 @@ def median_cross(plane: jax.Array) -> jax.Array:
 
 def median_3x3(plane: jax.Array) -> jax.Array:
     """Median of 3x3 pixels, borders reflected."""
-    return _median_square(plane, 1, SORT_3, MEDIAN_3X3)
+    return in_strips_on_cpu(partial(_median_square, 1, SORT_3, MEDIAN_3X3), plane, 1)
 
 
 def median_5x5(plane: jax.Array) -> jax.Array:
     """Median of 5x5 pixels, borders reflected."""
-    return _median_square(plane, 2, SORT_5, MEDIAN_5X5)
+    return in_strips_on_cpu(partial(_median_square, 2, SORT_5, MEDIAN_5X5), plane, 2)
 
 
-def _median_square(plane: jax.Array, radius: int, sort: Network, select: Network) -> jax.Array:
+def _median_square(radius: int, sort: Network, select: Network, plane: jax.Array) -> jax.Array:
     """Columns are sorted once for all the windows that share them."""
     down = [(d, 0) for d in range(-radius, radius + 1)]
     across = [(0, d) for d in range(-radius, radius + 1)]
