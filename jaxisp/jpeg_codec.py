@@ -7,6 +7,7 @@ a smooth surrogate for the gradient.
 
 import functools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -62,7 +63,7 @@ def ycbcr_to_rgb(y: jax.Array, cb: jax.Array, cr: jax.Array) -> Planes:
 
 
 def _pad_end(plane: jax.Array, rows: int, columns: int) -> jax.Array:
-    return jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
+    return jnp.pad(plane, ((0, rows), (0, columns)), mode="edge") if rows or columns else plane
 
 
 def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
@@ -248,16 +249,59 @@ def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsam
         chroma_table: likewise.
         subsampling: a key of `SAMPLING`.
     """
-    shape, step = rgb[0].shape, SAMPLING[subsampling]
+    step = SAMPLING[subsampling]
+    pack, unpack = partial(_pack, step=step), partial(_unpack, shape=rgb[0].shape, step=step)
+    return _compress(rgb, luma_table, chroma_table, pack, unpack)
+
+
+def compress_full_or_half(
+    rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, full: jax.Array
+) -> Planes:
+    """`compress` by 4:4:4 where `full`, else by 4:2:0, for little more than 4:4:4 takes.
+
+    The smaller planes of chroma take a part of the larger ones' place in the transform.
+    """
+    whole, half = SAMPLING["4:4:4"], SAMPLING["4:2:0"]
+    shape = rgb[0].shape
+    rows = -(-shape[0] // 16) * 8  # of chroma in 4:2:0
+
+    def pack(cb: jax.Array, cr: jax.Array) -> jax.Array:
+        few, many = _pack(cb, cr, half), _pack(cb, cr, whole)
+        few = jnp.pad(few, ((0, len(many) - len(few)), (0, 0)))
+        return jnp.where(full, _pad_end(many, 0, few.shape[1] - many.shape[1]), few)
+
+    def unpack(coded: jax.Array) -> list[jax.Array]:
+        many, few = _unpack(coded, shape, whole), _unpack(coded[:rows], shape, half)
+        return [jnp.where(full, m, f) for m, f in zip(many, few)]
+
+    return _compress(rgb, luma_table, chroma_table, pack, unpack)
+
+
+def _pack(cb: jax.Array, cr: jax.Array, step: tuple[int, int]) -> jax.Array:
+    """Two planes half as wide side by side, others one below the other."""
+    return jnp.concatenate([downsample(c, step) for c in (cb, cr)], step[1] - 1)
+
+
+def _unpack(coded: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) -> list[jax.Array]:
+    return [upsample(c, shape, step) for c in jnp.split(coded, 2, step[1] - 1)]
+
+
+def _compress(
+    rgb: Planes,
+    luma_table: jax.Array,
+    chroma_table: jax.Array,
+    pack: Callable[[jax.Array, jax.Array], jax.Array],
+    unpack: Callable[[jax.Array], Sequence[jax.Array]],
+) -> Planes:
+    shape = rgb[0].shape
     y, cb, cr = rgb_to_ycbcr(rgb)
-    side = step[1] - 1  # the two half as wide stand side by side, others one below the other
-    chroma = jnp.concatenate([downsample(c, step) for c in (cb, cr)], side)
+    chroma = pack(cb, cr)
     y = downsample(y, (1, 1))
     y = _pad_end(y, 0, chroma.shape[1] - y.shape[1])
     blocks = jnp.concatenate([y, chroma]).reshape(-1, 8, chroma.shape[1])
     is_luma = (np.arange(len(blocks)) < len(y) // 8)[:, None, None]
     tables = jnp.where(is_luma, luma_table, chroma_table)
     coded = through_blocks(lax.optimization_barrier(blocks), tables).reshape(-1, blocks.shape[2])
-    y, chroma = coded[: shape[0], : shape[1]], coded[len(y) :]
-    cb, cr = (upsample(c, shape, step) for c in jnp.split(chroma, 2, side))
+    y = coded[: shape[0], : shape[1]]
+    cb, cr = unpack(coded[-len(chroma) :])
     return ycbcr_to_rgb(*lax.optimization_barrier((y, cb, cr)))  # or each colour upsamples for itself

@@ -135,7 +135,7 @@ def _phone(
         stage("adc_quantization"),
         stage("demosaic_hibbard", cfa=CFA),
         stage("median", footprint="cross"),
-        stage("bilateral", chroma_cell=4),
+        stage("bilateral", chroma_cell=4, chroma_bins=20),
         stage("unsharp_mask"),
         stage("clip"),
         stage("srgb_oetf"),

@@ -1,16 +1,13 @@
 """JPEG as libjpeg does it, decoded: by quality, by Photoshop's level, or by the tables of a file."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxisp.domains import EncodedRGB
-from jaxisp.jpeg_codec import SAMPLING, compress
+from jaxisp.jpeg_codec import SAMPLING, compress, compress_full_or_half
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
-from jaxisp.numerics import clip_through, planes, round_through, straight_through
+from jaxisp.numerics import clip_through, materialize, planes, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -85,8 +82,8 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
     Args:
         params: the level.
         image: (H, W, 3) in [0, 1]; clipped, and rounded to 8 bits, as an encoder gets it.
-        subsampling: "auto" (4:2:0 below level 7, 4:4:4 from there up, as Photoshop; under `vmap` with
-            a level per image both are computed), "4:4:4", "4:2:2" or "4:2:0".
+        subsampling: "auto" (4:2:0 below level 7, 4:4:4 from there up, as Photoshop; takes as long as
+            4:4:4), "4:4:4", "4:2:2" or "4:2:0".
 
     Returns:
         (H, W, 3) in [0, 1], multiples of 1/255.
@@ -101,14 +98,11 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
     luma, chroma = (_level_table(t, params.level) for t in (PHOTOSHOP_LUMA, PHOTOSHOP_CHROMA))
     if subsampling != "auto":
         return _through_jpeg(image, luma, chroma, subsampling)
-    return lax.cond(
-        jnp.round(params.level) < FIRST_FULL_LEVEL,
-        functools.partial(_through_jpeg, subsampling="4:2:0"),
-        functools.partial(_through_jpeg, subsampling="4:4:4"),
-        image,
-        luma,
-        chroma,
-    )
+    full = jnp.round(params.level) >= FIRST_FULL_LEVEL
+    red, green, blue = _levels(image)
+    exact = red.dtype
+    coded = compress_full_or_half((red, green, blue), luma.astype(exact), chroma.astype(exact), full)
+    return _stacked(coded, image.dtype)
 
 
 def _level_table(tables: np.ndarray, level: jax.Array) -> jax.Array:
@@ -181,10 +175,21 @@ def _through_jpeg(
         raise ValueError(f"jpeg: subsampling must be one of {', '.join(SAMPLING)}, got {subsampling!r}")
     if not (0 <= row_phase < 16 and 0 <= column_phase < 16):
         raise ValueError(f"jpeg: phases must be in 0..15, got {row_phase}, {column_phase}")
-    whole = round_through(255 * jnp.clip(image, 0, 1))
-    if row_phase or column_phase:
-        whole = jnp.pad(whole, ((row_phase, 0), (column_phase, 0), (0, 0)), mode="edge")
-    exact = jnp.promote_types(image.dtype, jnp.float32)  # float16 does not hold the sums
-    red, green, blue = planes(whole.astype(exact))
+    red, green, blue = (
+        jnp.pad(p, ((row_phase, 0), (column_phase, 0)), mode="edge") if row_phase or column_phase else p
+        for p in _levels(image)
+    )
+    exact = red.dtype
     coded = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
-    return jnp.stack([p[row_phase:, column_phase:] for p in coded], axis=-1).astype(image.dtype) / 255
+    return _stacked(tuple(p[row_phase:, column_phase:] for p in coded), image.dtype)
+
+
+def _levels(image: jax.Array) -> tuple[jax.Array, ...]:
+    """The planes in 8 bits, in a type that holds the sums: float16 does not."""
+    whole = round_through(255 * jnp.clip(image, 0, 1))
+    # stored, or the gradient of all three would be computed for each
+    return materialize(planes(whole.astype(jnp.promote_types(image.dtype, jnp.float32))))
+
+
+def _stacked(coded: tuple[jax.Array, ...], dtype: jnp.dtype) -> jax.Array:
+    return jnp.stack(coded, axis=-1).astype(dtype) / 255

@@ -15,6 +15,7 @@ from jaxisp.domains import EncodedRGB, Image
 from jaxisp.numerics import planes, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.draws import standard_normal
 from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps
 
 
@@ -26,7 +27,7 @@ def pattern_key(key: jax.Array, sensor: int | None, name: str) -> jax.Array:
 
 
 def _normal(key: jax.Array, like: jax.Array, shape: tuple[int, ...] | None = None) -> jax.Array:
-    return jax.random.normal(key, like.shape if shape is None else shape, like.dtype)
+    return standard_normal(key, like.shape if shape is None else shape, like.dtype)
 
 
 def _filtered_normal(key: jax.Array, like: jax.Array, taps_y: jax.Array, taps_x: jax.Array) -> jax.Array:

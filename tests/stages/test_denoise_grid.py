@@ -9,6 +9,7 @@ import pytest
 from scipy import ndimage
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.recipes import BILATERAL, RECIPES
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane
 from jaxisp.stages.denoise.grid import grid_planes
 from tests.conftest import smooth_image
@@ -64,6 +65,18 @@ def test_equals_the_wide_bilateral(sigma_space, sigma_range, noise):
     got = filtered(tuple(chroma), luma, sigma_space, sigma_range)
     before, theirs, ours = (np.stack(ycbcr_to_rgb_planes(luma, *c)) for c in (chroma, want, got))
     assert psnr(before, theirs) < 30
+    assert psnr(ours, theirs) > 40
+
+
+@pytest.mark.parametrize("sigma_space", BILATERAL.chroma_sigma_space.support)
+def test_the_phones_grid_equals_the_wide_bilateral(sigma_space):
+    """With fewer bins, at the narrowest and the widest that are drawn."""
+    options = next(s.options for s in RECIPES["phone"]().chain.stages() if s.name == "bilateral")
+    luma, chroma = scene(SHAPE, 0.05)
+    want = exact(np.asarray(chroma, float), luma.astype(float), sigma_space, BILATERAL.chroma_sigma_range)
+    widths = sigma_space, BILATERAL.chroma_sigma_range
+    got = filtered(tuple(chroma), luma, *widths, options["chroma_cell"], options["chroma_bins"])
+    theirs, ours = (np.stack(ycbcr_to_rgb_planes(luma, *c)) for c in (want, got))
     assert psnr(ours, theirs) > 40
 
 

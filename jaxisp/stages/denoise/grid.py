@@ -19,6 +19,7 @@ from jaxisp.numerics import materialize
 Planes = tuple[jax.Array, ...]
 
 _MOST_TERMS = 32  # in one fused kernel
+_UNROLLED = 8  # terms of a sum along an axis: more become a loop, which is 5 times slower
 _FINEST = 4.0  # bins to a sigma_range; more would not be more exact
 
 
@@ -54,13 +55,15 @@ def grid_planes(
     # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
     by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
     by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
-    grid = materialize(_blurred(_splat(u, values, bins), guide.shape, cell, by_space, by_range))
+    # stored as it is: with the shape that the blur wants it would be 8 times slower
+    grid = materialize(_splat(u, values, bins))
+    grid = materialize(_blurred(grid, guide.shape, cell, by_space, by_range))
     weight, *sums = _sliced(u, grid, cell, -(-width // cell) + 2)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
 
 
-# A plane is held as (cell**2, L): where in its cell, then the cells row by row. Each row of cells has two
-# columns more on its right, so that neighbouring cells are static slices of one axis.
+# A plane is held as (cell**2, L): where in its cell, quadrant by quadrant, then the cells row by row. Each
+# row of cells has two columns more on its right, so that neighbouring cells are static slices of one axis.
 
 
 def _to_phases(plane: jax.Array, cell: int) -> jax.Array:
@@ -68,14 +71,14 @@ def _to_phases(plane: jax.Array, cell: int) -> jax.Array:
         pads = [(0, -n % cell) if a == axis else (0, 0) for a in range(2)]
         plane = jnp.pad(plane, pads, mode="reflect" if n > 1 else "edge")
     rows, columns = (n // cell for n in plane.shape)
-    phases = plane.reshape(rows, cell, columns, cell).transpose(1, 3, 0, 2)
-    return jnp.pad(phases, ((0, 0), (0, 0), (0, 0), (0, 2))).reshape(cell * cell, -1)
+    phases = plane.reshape(rows, 2, cell // 2, columns, 2, cell // 2).transpose(1, 4, 2, 5, 0, 3)
+    return jnp.pad(phases, [(0, 0)] * 5 + [(0, 2)]).reshape(cell * cell, -1)
 
 
 def _from_phases(phases: jax.Array, cell: int, height: int, width: int) -> jax.Array:
     rows, columns = -(-height // cell), -(-width // cell)
-    full = phases.reshape(cell, cell, rows, columns + 2)[..., :columns]
-    return full.transpose(2, 0, 3, 1).reshape(rows * cell, columns * cell)[:height, :width]
+    full = phases.reshape(2, 2, cell // 2, cell // 2, rows, columns + 2)[..., :columns]
+    return full.transpose(4, 0, 2, 5, 1, 3).reshape(rows * cell, columns * cell)[:height, :width]
 
 
 def _blurred(grid: jax.Array, shape: tuple[int, ...], cell: int, by_space: Any, by_range: Any) -> jax.Array:
@@ -87,7 +90,19 @@ def _blurred(grid: jax.Array, shape: tuple[int, ...], cell: int, by_space: Any, 
     across = jnp.pad(across, ((0, 0), (0, 2)))  # what the two columns more hold is dropped
     grid = (_gaussian(bins, by_range) @ grid.reshape(bins, -1)).reshape(-1, columns + 2)
     grid = (grid @ across.T).reshape(bins * count, rows, columns + 2)
-    return jnp.einsum("ij,kjx->kix", down, grid).reshape(bins, count, -1)
+    return _product(down, grid).reshape(bins, count, -1)
+
+
+def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
+    """`matrix @ grid`, plane by plane: for a single product XLA transposes the grid, before and after.
+
+    The transpose is fast on a CPU only with the matrix stored transposed.
+    """
+
+    def each(m: jax.Array, g: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(m, (len(g), *m.shape)) @ g
+
+    return linear_call(each, lambda m, c: each(materialize(m.T), c), matrix, grid)
 
 
 def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
@@ -128,30 +143,37 @@ def _splat_jvp(bins: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
     y = _splat(u, values, bins)
     change = jnp.zeros_like(y)
     if not isinstance(values_change, SymbolicZero):
-        change += _collect_linearly(u, values_change, bins, False)
+        change += linear_call(
+            lambda u, v: _collect(u, v, bins, False),
+            lambda u, g: _distribute(u, g, False),
+            u,
+            values_change,
+        )
     if not isinstance(u_change, SymbolicZero):
-        change += _collect_linearly(u, values * u_change, bins, True)
+        change += linear_call(
+            lambda r, c: _collect(r[0], r[1] * c, bins, True),
+            lambda r, g: jnp.sum(r[1] * materialize(_distribute(r[0], g, True)), axis=0),
+            (u, values),
+            u_change,
+        )
     return y, change
 
 
 _splat.defjvp(_splat_jvp, symbolic_zeros=True)
 
 
-def _collect_linearly(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Array:
-    return linear_call(
-        lambda u, v: _collect(u, v, bins, slope), lambda u, g: _distribute(u, g, slope), u, values
-    )
-
-
 def _collect(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Array:
-    z = jnp.arange(bins, dtype=u.dtype)[:, None, None]
-    terms = [_tent(u[p] - z, slope) * values[:, p] for p in range(len(u))]
-    return _sum(terms)
+    z = jnp.arange(bins, dtype=u.dtype)[:, None, None, None]
+    return _sum(
+        [jnp.sum(_tent(u[some] - z, slope) * values[:, some], axis=2) for some in _groups(len(u))], _UNROLLED
+    )
 
 
 def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
     """The transpose of `_collect`."""
-    return _sum([_tent(u - z, slope) * grid[z][:, None] for z in range(len(grid))])
+    z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
+    terms = [jnp.sum(_tent(u - z[some], slope) * grid[some, :, None], axis=0) for some in _groups(len(grid))]
+    return _sum(terms, _UNROLLED)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
@@ -180,61 +202,79 @@ def _sliced_jvp(cell: int, stride: int, primals: Any, tangents: Any) -> tuple[ja
 _sliced.defjvp(_sliced_jvp, symbolic_zeros=True)
 
 
-def _corners(cell: int, stride: int) -> list[tuple[list[int], list[tuple[int, np.ndarray]]]]:
-    """Phases that lie between the same four cells, and for each cell its offset and each phase's weight."""
-    centre = (np.arange(cell) + 0.5) / cell + 0.5
-    halves = [np.arange(cell // 2), np.arange(cell // 2, cell)]
-    weights = [[1 - np.abs(centre[half] - first - a) for a in range(2)] for first, half in enumerate(halves)]
-    groups = []
-    for first_y, first_x in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        phases = (halves[first_y][:, None] * cell + halves[first_x]).ravel().tolist()
-        corners = [
-            (
-                (first_y + a) * stride + first_x + b,
-                np.outer(weights[first_y][a], weights[first_x][b]).ravel(),
-            )
+def _shares(cell: int) -> list[list[np.ndarray]]:
+    """For each half of a cell, the weights of the nearer two cells, one for each phase."""
+    farther = [0.5 + (np.arange(cell // 2) + 0.5) / cell, (np.arange(cell // 2) + 0.5) / cell]
+    return [[1 - share, share] for share in farther]
+
+
+def _corners(cell: int, stride: int) -> list[list[tuple[int, np.ndarray]]]:
+    """For each quadrant the offsets of the four cells around it, and its phases' weights of each."""
+    shares = _shares(cell)
+    return [
+        [
+            ((first_y + a) * stride + first_x + b, np.outer(shares[first_y][a], shares[first_x][b]).ravel())
             for a in range(2)
             for b in range(2)
         ]
-        groups.append((phases, corners))
-    return groups
+        for first_y, first_x in ((0, 0), (0, 1), (1, 0), (1, 1))
+    ]
 
 
 def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: bool) -> jax.Array:
     length, dtype = u.shape[1], u.dtype
-    parts, order = [], []
-    for phases, corners in _corners(cell, stride):
-        own = u[np.array(phases)]
+    z = jnp.arange(len(grid), dtype=dtype)[:, None, None, None]
+    parts = []
+    for own, corners in zip(jnp.split(u, 4), _corners(cell, stride)):
         weighed = [(offset, jnp.asarray(w[:, None], dtype)) for offset, w in corners]
         terms = []
-        for z, layer in enumerate(grid):
-            near = sum(w * layer[:, None, offset : offset + length] for offset, w in weighed)
-            terms.append(_tent(own - z, slope) * near)
-        parts.append(materialize(_sum(terms)))
-        order += phases
-    return jnp.concatenate(parts, axis=1)[:, np.argsort(order)]
+        for some in _groups(len(grid)):
+            near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
+            terms.append(jnp.sum(_tent(own - z[some], slope) * near, axis=0))
+        parts.append(materialize(_sum(terms, _UNROLLED)))
+    return jnp.concatenate(parts, axis=1)
 
 
 def _spread(u: jax.Array, cotangent: jax.Array, shape: tuple[int, ...], cell: int, stride: int) -> jax.Array:
-    """The transpose of `_interpolated`."""
-    length = shape[2]
-    margin = length - u.shape[1]
-    wide_u = jnp.pad(u, ((0, 0), (margin, margin)))
-    wide = jnp.pad(cotangent, ((0, 0), (0, 0), (margin, margin)))
-    wide_u, wide = materialize((wide_u, wide))
-    z = jnp.arange(shape[0], dtype=u.dtype)[:, None, None]
+    """The transpose of `_interpolated`: along the rows of cells, then across them."""
+    bins, _, length = shape
+    half, shares = cell // 2, _shares(cell)
+    sides = ((2, length - u.shape[1]),)
+    wide_u, wide = materialize((jnp.pad(u, ((0, 0), *sides)), jnp.pad(cotangent, ((0, 0), (0, 0), *sides))))
+    z = jnp.arange(bins, dtype=u.dtype)[:, None, None]
     terms = []
-    for phases, corners in _corners(cell, stride):
-        for offset, weights in corners:
-            there = slice(margin - offset, margin - offset + length)
-            for p, w in zip(phases, weights):
-                terms.append(_tent(wide_u[p, there] - z, False) * (w.astype(u.dtype) * wide[:, p, there]))
-    return _sum(terms)
+    for first_y in range(2):
+        for y in range(half):
+            row = materialize(_sum(_row_terms(wide_u, wide, z, (first_y * cell + y) * half, length, cell), 1))
+            row = jnp.pad(row, ((0, 0), (0, 0), (2 * stride, 0)))
+            for a in range(2):
+                begin = (2 - first_y - a) * stride
+                terms.append(shares[first_y][a][y].astype(u.dtype) * row[..., begin : begin + length])
+    return _sum(terms, 1)
 
 
-def _sum(terms: list[jax.Array]) -> jax.Array:
-    """The sum, in kernels of a bearable size."""
+def _row_terms(
+    wide_u: jax.Array, wide: jax.Array, z: jax.Array, first: int, length: int, cell: int
+) -> list[jax.Array]:
+    """What the phases of one row of pixels in a cell give to the cells of their row."""
+    shares, terms = _shares(cell), []
+    for first_x in range(2):
+        for x in range(cell // 2):
+            phase = first + first_x * (cell // 2) ** 2 + x
+            for b in range(2):
+                there = slice(2 - first_x - b, 2 - first_x - b + length)
+                come = wide[:, phase, there] * shares[first_x][b][x].astype(wide.dtype)
+                terms.append(_tent(wide_u[phase, there] - z, False) * come)
+    return terms
+
+
+def _groups(count: int) -> list[slice]:
+    return [slice(i, min(i + _UNROLLED, count)) for i in range(0, count, _UNROLLED)]
+
+
+def _sum(terms: list[jax.Array], each: int) -> jax.Array:
+    """The sum, in kernels of a bearable size; a term stands for `each`."""
     total = terms[0]
     for i, term in enumerate(terms[1:], 1):
-        total = (total if i % _MOST_TERMS else materialize(total)) + term
+        total = (total if i % (_MOST_TERMS // each) else materialize(total)) + term
     return total

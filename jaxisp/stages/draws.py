@@ -1,0 +1,47 @@
+"""Standard normal numbers, the same as JAX's, in less time on a CPU."""
+
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+_ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
+_PARITY = np.uint32(0x1BD11BDA)
+
+
+def standard_normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
+    """`jax.random.normal`, bit for bit.
+
+    On a CPU JAX writes Threefry as a loop, which stores every round.
+    """
+    if dtype != jnp.float32 or str(jax.random.key_impl(key)) != "threefry2x32":
+        return jax.random.normal(key, shape, dtype)
+    bits = reduce(jnp.bitwise_xor, _threefry(jax.random.key_data(key), *_counters(shape)))
+    # 23 bits as a number in [1, 2), from there to (-1, 1)
+    ones = jax.lax.bitcast_convert_type(bits >> 9 | np.uint32(0x3F800000), jnp.float32)
+    low = np.nextafter(np.float32(-1), np.float32(0))
+    uniform = jnp.maximum(low, (ones - 1) * (1 - low) + low)
+    return np.float32(np.sqrt(2)) * jax.lax.erf_inv(uniform)
+
+
+def _counters(shape: tuple[int, ...]) -> tuple[jax.Array, jax.Array]:
+    """A 64-bit counter for each place in row-major order, as two words."""
+    low = jnp.zeros(shape, jnp.uint32)
+    for axis in range(len(shape)):
+        step = np.uint32(np.prod(shape[axis + 1 :], dtype=np.int64))
+        low += step * jax.lax.broadcasted_iota(jnp.uint32, shape, axis)
+    return jnp.zeros_like(low), low
+
+
+def _threefry(key: jax.Array, a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Threefry-2x32, 20 rounds (Salmon et al. 2011)."""
+    keys = key[0], key[1], key[0] ^ key[1] ^ _PARITY
+    a, b = a + keys[0], b + keys[1]
+    for block in range(5):
+        for turn in _ROTATIONS[4 * (block % 2) :][:4]:
+            a = a + b
+            b = a ^ (b << turn | b >> (32 - turn))
+        a = a + keys[(block + 1) % 3]
+        b = b + keys[(block + 2) % 3] + np.uint32(block + 1)
+    return a, b
