@@ -12,7 +12,8 @@ class Peer:
     Attributes:
         name: the library and, where it matters, its function or dtype.
         call: runs it once on the case's data and returns its output, a NumPy array if it is to be compared.
-        goal: how many times our time it should take; None where no goal is set.
+        goal: the least share of its time over ours that is aimed at, so above 1 is to be faster; None where
+            no goal is set.
         agrees: turns (ours, theirs) into one line that says how the outputs agree ("PSNR 61.2 dB
             inside"); None where the algorithms differ by design and only the time is compared.
         threads: how many threads OpenCV and torch may use for it; None for as many as there are cores.

@@ -2,6 +2,7 @@
 
     make bench                                             # everything
     python -m benchmarks.peers demosaic jpeg               # some families; the others' results are kept
+    python -m benchmarks.peers chain --only "12 MP"        # some cases of one, likewise
     python -m benchmarks.peers --render                    # only remake the page from the results
 
 A family is a module of `benchmarks.cases`. Within a case our call, its gradient and the peers take
@@ -16,7 +17,7 @@ import json
 import pkgutil
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ console = Console(width=150, highlight=False)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("families", nargs="*", help=f"of {', '.join(families())}; default: all")
+    parser.add_argument("--only", default="", help="of each family, the cases with this in their title")
     parser.add_argument("--rounds", type=int, default=51, help="at most so many samples of each call")
     parser.add_argument("--seconds", type=float, default=6.0, help="for the rounds of one case")
     parser.add_argument("--out", type=Path, default=RESULTS)
@@ -49,8 +51,13 @@ def main() -> None:
     good = True
     if not arguments.render:
         for name in arguments.families or families():
-            result = measure_family(name, arguments.rounds, arguments.seconds)
-            store(arguments.out, name, result)
+            how = arguments.rounds, arguments.seconds, arguments.only
+
+            def keep(result: dict[str, Any], name: str = name) -> None:
+                store(arguments.out, name, result)
+
+            result = measure_family(name, *how, keep if arguments.only else None)
+            keep(dict(result))
             good = good and not list(errors(result))
     write_performance(arguments.report, peers=arguments.out)
     sys.exit(not good)
@@ -61,9 +68,15 @@ def families() -> list[str]:
 
 
 def store(path: Path, family: str, result: dict[str, Any]) -> None:
-    """Put one family's results in place of what the file has of it."""
+    """Put one family's results, or some of its cases, in place of what the file has of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = json.loads(path.read_text())["families"] if path.exists() else {}
+    fresh = {title(row): row for row in result["rows"]}
+    partly = result.pop("partly", False)
+    if partly and family in kept:
+        rows = {title(row): row for row in kept[family]["rows"]} | fresh
+        whole = {key: value for key, value in kept[family].items() if key != "error"}
+        result = whole | result | {"rows": list(rows.values())}
     merged = {"families": dict(sorted((kept | {family: result}).items()))}
     path.write_text(json.dumps(merged, indent=1) + "\n")
 
@@ -75,14 +88,29 @@ def errors(result: dict[str, Any]) -> Iterator[str]:
             yield part["error"]
 
 
-def measure_family(name: str, rounds: int, budget: float) -> dict[str, Any]:
+def title(row: dict[str, Any]) -> str:
+    return f"{row['stage']}, {row['size']}"
+
+
+def measure_family(
+    name: str,
+    rounds: int,
+    budget: float,
+    only: str = "",
+    keep: Callable[[dict[str, Any]], None] | None = None,
+) -> dict[str, Any]:
+    """The family's results; some of its cases are kept one by one, as making the others takes a while."""
     console.rule(name)
-    result: dict[str, Any] = {"load": [load()], "limits": limits(), "rows": []}
+    result: dict[str, Any] = {"load": [load()], "limits": limits(), "rows": [], "partly": bool(only)}
     try:
         for case in importlib.import_module(f"benchmarks.cases.{name}").cases():
+            if only not in f"{case.stage}, {case.size}":
+                continue
             row = measure(case, rounds, budget, result["limits"])
             result["rows"].append(row)
             tell(row)
+            if keep:
+                keep({"machine": machine(), **result, "load": [*result["load"], load()]})
     except Exception as error:
         result["error"] = describe(error)
     result["load"].append(load())
@@ -163,13 +191,13 @@ def describe(error: Exception) -> str:
 
 
 def tell(row: dict[str, Any]) -> None:
-    title = f"{row['stage']}, {row['size']}"
     if "ms" not in row:
-        console.print(f"{title}: {row['error']}")
+        console.print(f"{title(row)}: {row['error']}")
         return
     gradient = f", gradient {row['gradient']['ratio']:.1f}x" if "gradient" in row else ""
     least = f", {row['times_floor']}x the floor" if "times_floor" in row else ""
-    console.print(f"{title}: {row['ms']:.2f} ms{gradient}{least}; first call {row['first_call_s']} s")
+    spread = f"{row['ms']:.2f} ms ({row['iqr']:.2f})"
+    console.print(f"{title(row)}: {spread}{gradient}{least}; first call {row['first_call_s']} s")
     for entry in row["peers"]:
         if "error" in entry:
             console.print(f"    {entry['name']}: {entry['error']}")

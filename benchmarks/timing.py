@@ -9,8 +9,12 @@ import numpy as np
 
 from benchmarks.machine import set_threads
 
-SHORTEST = 3e-3
+SHORTEST = 5e-3
 """Seconds: shorter calls are repeated within a sample."""
+WARM = 20e-3
+"""Seconds for which a call runs before a sample of it."""
+LONG = 0.3
+"""Seconds: what takes longer is not run before it is sampled."""
 LEAST_ROUNDS = 5
 
 
@@ -37,26 +41,28 @@ def interleaved(
     """
     threads = threads or {}
     samples: dict[str, list[float]] = {name: [] for name in calls}
-    repeats = {name: max(1, round(SHORTEST / seconds(call))) for name, call in calls.items()}
+    alone = {name: min(seconds(call) for _ in range(3)) for name, call in calls.items()}
     clock = time.perf_counter()
     for done in range(rounds):
         if done >= LEAST_ROUNDS and time.perf_counter() - clock > budget:
             break
         for name, call in calls.items():
-            samples[name].append(sample(call, repeats[name], threads.get(name)))
+            samples[name].append(sample(call, alone[name], threads.get(name)))
     return samples
 
 
-def sample(call: Callable[[], Any], repeats: int, threads: int | None) -> float:
-    """Mean seconds of some calls in a row, after as many that do not count.
+def sample(call: Callable[[], Any], expected: float, threads: int | None) -> float:
+    """Mean seconds of some calls in a row, after some that do not count.
 
-    Those make the pool of threads anew, and outlast the threads of another library, which wait busily.
-    A single long call is not preceded by another.
+    Those wake the call's own threads, fill the caches with its data and outlast the threads of the call
+    before, which wait busily for a while: the first call after another library's took up to twice as long.
     """
     if threads is not None:
         set_threads(threads)
-    for _ in range(repeats if repeats > 1 or threads is not None else 0):
-        call()
+    repeats = max(1, round(SHORTEST / expected))
+    clock = time.perf_counter()
+    while expected < LONG and time.perf_counter() - clock < WARM:
+        jax.block_until_ready(call())
     clock = time.perf_counter()
     for _ in range(repeats):
         jax.block_until_ready(call())

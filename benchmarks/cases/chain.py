@@ -117,7 +117,7 @@ def chain_peers(images: np.ndarray) -> Iterator[Peer]:
         import kornia  # noqa: F401
     except ImportError:
         return
-    yield Peer("kornia", kornia_chain(images), 4.0, agreement)
+    yield Peer("kornia", kornia_chain(images), 20.0, agreement)
 
 
 def agreement(ours: Any, theirs: Any) -> str:

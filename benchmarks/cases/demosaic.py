@@ -78,11 +78,11 @@ def peers(name: str, mosaics: np.ndarray, one: bool) -> Iterator[Peer]:
         yield from colour_demosaicing("bilinear", mosaics, 24 if one else 14, inside(1))
         yield from kornia(mosaics)
     if name == "Malvar":
-        yield from colour_demosaicing("Malvar2004", mosaics, 20, inside(2))
+        yield from colour_demosaicing("Malvar2004", mosaics, 33 if one else 40, inside(2))
     if name == "Menon":
-        yield from colour_demosaicing("Menon2007", mosaics, 12.5, inside(8))
+        yield from colour_demosaicing("Menon2007", mosaics, 20, inside(8))
     if name == "Hibbard":
-        yield from opencv("edge-aware", "_EA", np.uint16, mosaics, 0.3 if one else 1 / 0.8, inside(4))
+        yield from opencv("edge-aware", "_EA", np.uint16, mosaics, 1.25 if one else 1.3, inside(4))
     if name.startswith("AHD"):
         yield from opencv("VNG, 8 bits", "_VNG", np.uint8, mosaics, None, inside(8))
         yield from colour_demosaicing("Menon2007", mosaics, None, inside(8))
