@@ -13,10 +13,10 @@ import numpy as np
 from jaxisp.fit.planes import SAMPLE, SMALLEST, factors, luma, normalise, ranks, reduce
 from jaxisp.io.orientation import INVERSE, orient
 
-_PATCH = 30.0  # px whose normalised values are about as good as one independent one
+PATCH = 30.0  # px whose normalised values are about as good as one independent one
 _CHANCE = 5.0  # standard deviations that are not reached by chance
 _ALIKE = 0.2  # what different scenes reach by being built alike (a bright sky, an upright figure)
-_SCALE_DEVIATION = 0.01  # how far the scales of two pictures of one size differ, a priori
+SCALE_DEVIATION = 0.01  # how far the scales of two pictures of one size differ, a priori
 
 
 class Alignment(NamedTuple):
@@ -149,16 +149,21 @@ def _positions(size: int, moved_size: int, scale: Any, shift: Any, index: jax.Ar
     return (moved_size - 1) / 2 + scale * (index - (size - 1) / 2) + shift
 
 
-def _sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
-    """Cubic convolution along one axis, in NumPy or JAX; `xp` says which."""
-    first = xp.floor(positions)
-    t = (positions - first).reshape((-1,) + (1,) * (image.ndim - 1 - axis))
-    weights = (
+def cubic_weights(t: Any) -> tuple[Any, ...]:
+    """Of the samples at -1, 0, 1 and 2 for a place `t` in [0, 1) after the one at 0."""
+    return (
         t * (-0.5 + t * (1 - 0.5 * t)),
         1 + t * t * (-2.5 + 1.5 * t),
         t * (0.5 + t * (2 - 1.5 * t)),
         t * t * (-0.5 + 0.5 * t),
     )
+
+
+def _sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
+    """Cubic convolution along one axis, in NumPy or JAX; `xp` says which."""
+    first = xp.floor(positions)
+    t = (positions - first).reshape((-1,) + (1,) * (image.ndim - 1 - axis))
+    weights = cubic_weights(t)
     index = xp.clip(first, -4, image.shape[axis] + 4).astype(np.int32)
     taps = (xp.take(image, xp.clip(index + k - 1, 0, image.shape[axis] - 1), axis=axis) for k in range(4))
     return sum(w * tap for w, tap in zip(weights, taps))
@@ -233,7 +238,7 @@ def _agreement(a: np.ndarray, b: np.ndarray, place: _Place) -> tuple[float, int]
 
 def _chance(pixels: float) -> float:
     """The correlation that a search among shifts finds in unrelated planes."""
-    return _CHANCE * np.sqrt(_PATCH / pixels)
+    return _CHANCE * np.sqrt(PATCH / pixels)
 
 
 def _refine(still: np.ndarray, moved: np.ndarray, place: _Place, prior: np.ndarray) -> tuple[_Place, float]:
@@ -261,8 +266,8 @@ def _fit(a: np.ndarray, b: np.ndarray, prior: np.ndarray, steps: int = 20) -> tu
 
     def score(place: _Place) -> float:
         correlation = _agreement(a, b, place)[0]
-        strain = (((place.scale - prior) / _SCALE_DEVIATION) ** 2).sum()
-        return -0.5 * a.size / _PATCH * np.log(1 - min(correlation, 1 - 1e-9) ** 2 + 1e-9) - 0.5 * strain
+        strain = (((place.scale - prior) / SCALE_DEVIATION) ** 2).sum()
+        return -0.5 * a.size / PATCH * np.log(1 - min(correlation, 1 - 1e-9) ** 2 + 1e-9) - 0.5 * strain
 
     place, damping = _Place(np.zeros(2), np.ones(2)), 1e-3
     best = score(place)
@@ -291,7 +296,7 @@ def _step(a: np.ndarray, b: np.ndarray, place: _Place, strain: np.ndarray, dampi
     gain = (still * moved).sum() / ((moved**2).sum() + 1e-12)
     residual = (still - gain * moved).ravel()
     jacobian = np.stack([slopes[0], slopes[1], slopes[0] * across, slopes[1] * along]).reshape(4, -1) * gain
-    stiffness = _PATCH * residual.var() / (_SCALE_DEVIATION * np.asarray(a.shape) / 2) ** 2
+    stiffness = PATCH * residual.var() / (SCALE_DEVIATION * np.asarray(a.shape) / 2) ** 2
     normal = jacobian @ jacobian.T + np.diag([0, 0, *stiffness])
     right = jacobian @ residual - np.array([0, 0, *(stiffness * strain)])
     return np.linalg.solve(normal + damping * np.diag(normal.diagonal()) + 1e-9 * np.eye(4), right)

@@ -6,30 +6,32 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit import model
+from jaxisp.fit.lens import STRAIGHT, Lens
 from jaxisp.fit.solve import View
 from jaxisp.fit.tiles import HALO, Chunk
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
-from jaxisp.stages.optics import Exposure
+from jaxisp.stages.optics import Exposure, GeometricDistortion
 from jaxisp.stages.transfer import srgb_eotf
 
 _BLOCK = 8
 _NOTHING = 1e-9
 
 
-def begin(views: Sequence[View]) -> Params:
+def begin(views: Sequence[View], lens: Lens = STRAIGHT) -> Params:
     """The parameters a fit starts from."""
-    pixels = [_block_means(view, chunk) for view in views for chunk in view.chunks]
+    pixels = [_block_means(view, chunk, lens) for view in views for chunk in view.chunks]
     source, wanted = (np.concatenate(parts) for parts in zip(*pixels))
     gain = float(np.clip(wanted.sum() / max(source.sum(), _NOTHING), 2.0**-6, 2.0**6))
     matrix = np.linalg.lstsq(gain * source, wanted, rcond=None)[0].T
     return model.start() | {
         "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),
         "color_matrix": ColorMatrix(matrix=np.clip(matrix, -3.9, 3.9).astype(np.float32)),
+        "geometric_distortion": GeometricDistortion(k1=np.float32(lens.k1)),
     }
 
 
-def _block_means(view: View, chunk: Chunk) -> tuple[np.ndarray, np.ndarray]:
+def _block_means(view: View, chunk: Chunk, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) means of whole 8x8 blocks, camera RGB and wanted, in linear light: free of noise and detail.
 
     The source is read at the nearest whole pixel.
@@ -39,12 +41,11 @@ def _block_means(view: View, chunk: Chunk) -> tuple[np.ndarray, np.ndarray]:
     source = []
     for tile, place in zip(np.asarray(chunk.source), np.asarray(chunk.place, float)):
         index = HALO + np.arange(size)
-        rows, columns = (
-            np.rint(view.geometry[2 + a] * (place[a] + index) + view.geometry[a] - place[2 + a]).astype(int)
-            for a in range(2)
-        )
+        y, x = (view.geometry[2 + a] * (place[a] + index) + view.geometry[a] for a in range(2))
+        bent = lens.bent(y[:, None], x[None], float(chunk.corner))
+        rows, columns = (np.rint(p - first).astype(int) for p, first in zip(bent, place[2:]))
         last = len(tile) - 1
-        source.append(tile[np.clip(rows, 0, last)[:, None], np.clip(columns, 0, last)])
+        source.append(tile[np.clip(rows, 0, last), np.clip(columns, 0, last)])
     whole = _means(np.asarray(chunk.mask)[..., None])[:, 0] == 1
     return _means(np.stack(source))[whole], _means(wanted)[whole]
 

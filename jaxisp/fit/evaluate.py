@@ -5,14 +5,13 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.fit import model, noise
-from jaxisp.fit.align import Alignment
+from jaxisp.fit import noise
 from jaxisp.fit.render import render, similarity
 from jaxisp.fit.result import PairResult
-from jaxisp.fit.tiles import Example, Shot, Split, balanced, demosaicked, split
+from jaxisp.fit.solve import Fit, State
+from jaxisp.fit.tiles import Example, Shot, Split, split
 from jaxisp.io import orient
 from jaxisp.metrics import psnr
-from jaxisp.pipeline import Params
 
 SHOWN = 1024  # px of a side that are kept for reports
 PATCH = 32  # px of the tiles that local processing is looked for in
@@ -21,32 +20,30 @@ MOST_BLURRED = 0.12  # share of detailed tiles whose detail is gone
 FEWEST_DB = 22.0  # held out
 
 
-def evaluate(
-    design: model.Design, start: Params, params: Params, shot: Shot, alignment: Alignment, example: Example
-) -> PairResult:
+def evaluate(fit: Fit, state: State, pair: int, shot: Shot, example: Example) -> PairResult:
     """Render a pair, its file's JPEG tables included, and measure its fitted and its held-out tiles."""
     target = np.ascontiguousarray(orient(example.picture, shot.orientation))
-    camera_rgb = demosaicked(balanced(example.raw), shot.cfa, design)
-    masks = split(target, shot.alignment, camera_rgb.shape)
-
-    def picture(values: Params, where: Alignment) -> np.ndarray:
-        return render(design, values, camera_rgb, where, target.shape, shot.jpeg)
-
-    done = picture(params, alignment)
+    example = dataclasses.replace(example, picture=target)
+    masks = split(target, shot.alignment, example.raw.mosaic.shape, shot.lens)
+    vector, place = fit.vector(state, pair), state.places[pair]
+    done = render(fit, vector, shot, example)
     similar = similarity(done, target)
-    whole = alignment._replace(dy=float(np.rint(alignment.dy)), dx=float(np.rint(alignment.dx)))
+    shift = shot.geometry[:2] + place[:2]
+    whole = shot.geometry + np.append(np.rint(shift) - shift, [0, 0]).astype(np.float32)
+    shown = np.zeros(target.shape[:2], bool)
+    _middle(shown, copy=False)[:] = True
     result = PairResult(
         shot.name,
         _psnr(done, target, masks.fitted),
         float(similar[masks.fitted].mean()),
         _psnr(done, target, masks.held_out),
         float(similar[masks.held_out].mean()),
-        (-float(alignment.dy), -float(alignment.dx)),
-        _middle(picture(start, shot.alignment)),
+        (-float(shift[0]), -float(shift[1])),
+        _middle(render(fit, fit.vector(fit.start, pair), shot, example, where=shown)),
         _middle(done),
         _middle(target),
         _noise(done, target, masks.held_out),
-        _psnr(picture(params, whole), target, masks.held_out),
+        _psnr(render(fit, vector, shot, example, whole, masks.held_out), target, masks.held_out),
         notes=shot.notes,
     )
     return dataclasses.replace(result, flags=_flags(result, done, target, masks))
@@ -56,10 +53,11 @@ def _psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
     return float(psnr(jnp.asarray(a), jnp.asarray(b), mask=jnp.asarray(mask)))
 
 
-def _middle(image: np.ndarray) -> np.ndarray:
+def _middle(image: np.ndarray, copy: bool = True) -> np.ndarray:
     """A copy, so that a large picture can go."""
     top, left = (max(n - SHOWN, 0) // 2 for n in image.shape[:2])
-    return image[top : top + SHOWN, left : left + SHOWN].copy()
+    part = image[top : top + SHOWN, left : left + SHOWN]
+    return part.copy() if copy else part
 
 
 def _noise(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, object]:

@@ -5,6 +5,7 @@ between the two pictures among the parameters, and fitted by Gauss-Newton steps 
 Half the picture, in a checkerboard of tiles, is fitted; every held-out figure comes from the other half.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,10 +15,10 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.fit import model
-from jaxisp.fit.align import Alignment
-from jaxisp.fit.curvature import standard_errors
+from jaxisp.fit.curvature import Identified, standard_errors
 from jaxisp.fit.evaluate import evaluate
 from jaxisp.fit.journal import Journal, fingerprint
+from jaxisp.fit.lens import Lens
 from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.fit.search import Options, Outcome, Search, Tick
 from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
@@ -29,7 +30,7 @@ from jaxisp.stages import STAGES
 
 STEPS = 30
 _MOST_TILES = 32  # of one pair
-_MOST_CHUNKS = 12  # of all pairs together; each pair has at least one
+_MOST_CHUNKS = 24  # of all pairs together; each pair has at least one
 
 Given = Example | Callable[[], Example]
 
@@ -130,19 +131,8 @@ def _measured(outcome: Outcome, shots: Sequence[tuple[Given, Shot]]) -> list[Pai
     pairs = []
     for i, (example, shot) in enumerate(shots):
         loaded = example() if callable(example) else example
-        where = _moved(shot.alignment, outcome.state.places[i])
-        pairs.append(evaluate(outcome.design, outcome.start, _params(outcome, i), shot, where, loaded))
+        pairs.append(evaluate(outcome.fit, outcome.state, i, shot, loaded))
     return pairs
-
-
-def _moved(alignment: Alignment, place: np.ndarray) -> Alignment:
-    return Alignment(
-        float(alignment.dy) + place[0],
-        float(alignment.dx) + place[1],
-        float(alignment.scale_y) + 1e-3 * place[2],
-        float(alignment.scale_x) + 1e-3 * place[3],
-        alignment.correlation,
-    )
 
 
 def _params(outcome: Outcome, pair: int) -> Params:
@@ -176,7 +166,7 @@ def _result(
     params = each[0] if len(each) == 1 or not outcome.fit.problem.layout.size(IMAGE) else mean_of(each)
     identified = standard_errors(outcome.fit, outcome.state, outcome.fit.equations(outcome.state))
     unused = set(params) - set(model.fitted(outcome.design).init())
-    identified = [p for p in identified if p.name.split(".")[0] not in unused]
+    identified = [_restated(p, params) for p in identified if p.name.split(".")[0] not in unused]
     own = {
         shot.name: {
             s: {f: np.asarray(getattr(values[s], f)).tolist() for f in specs(type(values[s]))}
@@ -199,11 +189,22 @@ def _result(
         _at_bound(camera),
         own if outcome.fit.problem.layout.size(IMAGE) else {},
         resumed,
+        Lens.of(params).in_the_corner(float(shots[0].chunks[0].corner)) if outcome.design.lens else {},
     )
 
 
+def _restated(found: Identified, params: Params) -> Identified:
+    """With the value as the camera's file has it; see `canonical`."""
+    path, _, index = found.name.partition("[")
+    stage, field = path.split(".")
+    value = np.asarray(getattr(params[stage], field))
+    at = tuple(map(int, index[:-1].split(", "))) if index else ()
+    return dataclasses.replace(found, value=float(value[at]))
+
+
 def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: list[str]) -> Recipe:
-    whole, tables = model.with_jpeg(model.camera(shots[0].cfa, outcome.design), shots[0].jpeg)
+    jpeg = None if outcome.design.sampling else shots[0].jpeg
+    whole, tables = model.with_jpeg(model.camera(shots[0].cfa, outcome.design), jpeg)
     own = {name: values for name, values in params.items() if name in whole.init()}
     meta = {
         **FROM_FILE,

@@ -8,11 +8,12 @@ import numpy as np
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, Saturation
+from jaxisp.stages.choice import ChromaSubsampling
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import JpegTables
-from jaxisp.stages.optics import Exposure, Vignetting
+from jaxisp.stages.optics import Exposure, GeometricDistortion, LateralChromaticAberration, Vignetting
 from jaxisp.stages.tone import Gamma, SCurve, ZoneCurve
 
 ZONES = 7
@@ -28,6 +29,13 @@ DEMOSAICKERS = (
 MEDIANS = (None, "cross", "3x3", "5x5")
 PLACES = ("camera", "encoded")
 
+LENS = ("lateral_chromatic_aberration", "geometric_distortion")
+"""Stages that bend the picture: among the geometry while it is fitted, see `jaxisp.fit.lens`."""
+
+SAMPLING = "chroma_subsampling"
+"""The last stage that is fitted. Where a JPEG file states its sampling it is set while the rest is fitted,
+and left to the encoder afterwards."""
+
 SET_FROM_FILE = ("mosaic_white_balance", "jpeg_tables")
 """Stages whose parameters are read, not fitted."""
 
@@ -42,18 +50,24 @@ class Design:
         median: footprint of the median filter, or None for no such stage.
         place: where denoising is: on square roots of "camera" RGB, where shot noise is even, or on
             "encoded" sRGB, after colour.
+        lens: whether radial distortion and lateral colour are among its stages.
+        sampling: whether chroma sampling is: where no file states it, for an encoder does it otherwise.
     """
 
     demosaic: str = DEMOSAICKERS[0]
     passes: int = 0
     median: str | None = None
     place: str = PLACES[0]
+    lens: bool = False
+    sampling: bool = False
 
     @property
     def text(self) -> str:
         passes = f" + {self.passes} colour-difference medians" if self.passes else ""
         median = f", median {self.median}" if self.median else ""
-        return f"{self.demosaic.removeprefix('demosaic_')}{passes}{median}, denoised in {self.place} RGB"
+        lens = ", distortion and lateral colour" if self.lens else ""
+        name = self.demosaic.removeprefix("demosaic_")
+        return f"{name}{passes}{median}, denoised in {self.place} RGB{lens}"
 
 
 def head(cfa: str, design: Design) -> Chain:
@@ -92,6 +106,7 @@ def back(place: str) -> Chain:
         stage("zone_curve", on="channels"),
         stage("saturation"),
         stage("unsharp_mask", radius=6),
+        stage(SAMPLING),
     )
     return Chain((*(() if place == "encoded" else _color()), *tone), "back")
 
@@ -106,9 +121,11 @@ def _color() -> tuple[Stage, ...]:
 
 def fitted(design: Design) -> Chain:
     """All that the fit moves: camera RGB to encoded sRGB, before rounding and the encoder."""
-    return Chain(
-        (stage("vignetting"), *front(design).nodes, *back(design.place).nodes), "camera_rgb_to_picture"
-    )
+    lens = tuple(stage(name) for name in LENS) if design.lens else ()
+    tail = back(design.place)
+    tail = tail if design.sampling else tail.without(SAMPLING)
+    nodes = (stage("vignetting"), *lens, *front(design).nodes, *tail.nodes)
+    return Chain(nodes, "camera_rgb_to_picture")
 
 
 def camera(cfa: str, design: Design) -> Chain:
@@ -123,6 +140,8 @@ def start() -> Params:
     """
     return {
         "vignetting": Vignetting(),
+        "lateral_chromatic_aberration": LateralChromaticAberration(),
+        "geometric_distortion": GeometricDistortion(),
         "bilateral": Bilateral(luma_sigma_range=0.02, chroma_sigma_space=1.5, chroma_sigma_range=0.05),
         "median": Median(strength=0.5),
         "denoise_encoding": Gamma(gamma=2.0),
@@ -134,7 +153,17 @@ def start() -> Params:
         "zone_curve": ZoneCurve(offsets=np.zeros(ZONES)),
         "saturation": Saturation(amount=1.0),
         "unsharp_mask": UnsharpMask(amount=0.3, sigma=1.2, threshold=0.0),
+        SAMPLING: ChromaSubsampling(horizontal=0.5, vertical=0.5),
     }
+
+
+def sampled(jpeg: Jpeg | None) -> Params:
+    """The parameters of chroma sampling as a JPEG file states it; none where it is full."""
+    horizontal, vertical = _HALVED.get(jpeg.subsampling, (0.0, 0.0)) if jpeg else (0.0, 0.0)
+    return {SAMPLING: ChromaSubsampling(horizontal=horizontal, vertical=vertical)}
+
+
+_HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:

@@ -129,6 +129,10 @@ def misfit(sums: np.ndarray, wanted: np.ndarray, std: float = 0.05, lag1: float 
     return np.nan_to_num(np.concatenate([np.ravel(r) for r in rows]))
 
 
+TOGETHER = slice(4 * BINS, 4 * BINS + 4)
+"""Of `misfit`: all intensities together."""
+
+
 def _distance(
     ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray], usable: np.ndarray, std: float, lag1: float
 ) -> tuple[np.ndarray, np.ndarray]:

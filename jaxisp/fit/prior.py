@@ -17,6 +17,8 @@ from jaxisp.stages.optics import Exposure
 LEFT_OUT = (
     "mosaic_white_balance",
     "vignetting",
+    "lateral_chromatic_aberration",
+    "geometric_distortion",
     "exposure",
     "color_matrix",
     "srgb_oetf",
@@ -26,7 +28,8 @@ LEFT_OUT = (
     "saturation",
     "rounding",
 )
-"""Tone and colour: a denoiser is to take away noise, not to undo a look, as in Jaroensri et al. 2019."""
+"""Tone, colour and geometry: a denoiser is to take away noise, not to undo a look
+(Jaroensri et al. 2019)."""
 
 ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 

@@ -3,7 +3,8 @@
 Derivatives are forward differences. The neighbourhood stages have reverse-mode rules only, and a
 Jacobian with one column a parameter needs the other direction; it also costs less to compile, and
 sees through rounding, medians and choices. Denoising is rendered again only for the parameters
-before or in it; the others start from what it gave.
+before or in it; the others start from what it gave. What is switched off (the lens, until it shows; a
+median that is not there) is not rendered.
 """
 
 import functools
@@ -14,24 +15,34 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.fit import model, noise
+from jaxisp.fit import lens, model, noise
 from jaxisp.fit.align import _sample
 from jaxisp.fit.sharing import CAMERA, IMAGE, Layout
-from jaxisp.fit.tiles import HALO, SIDE, Chunk
+from jaxisp.fit.tiles import HALO, SIDE, TILES, Chunk
 from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import Chain, Params, stage
 from jaxisp.stages.optics import _radial_gain
 
 GEOMETRY = ("shift_y", "shift_x", "scale_y", "scale_x")
+UNITS = (1.0, 1.0, 1e-3, 1e-3)
+"""Of the geometry on the real line: px, and a thousandth."""
 STEP = 3e-3  # of a difference, on the real line; px for the geometry
+STEP_DISTORTION = 0.2  # of that, for distortion: a step moves the corner by a small share of a pixel
 ROBUST = 0.02  # level; larger residuals count less than by their square
 CHROMA = 0.5  # weight of a squared error of Cb or Cr against one of luma
 
 
 class Normal(NamedTuple):
-    """Normal equations of one chunk, and the sums for the noise statistics with their derivatives.
+    """One chunk at a place: its normal equations, and the sums for the noise statistics with their slopes.
 
-    `matrix` and `vector` are of the robust residual, `loss` its sum, `weight` how many pixels.
+    Args:
+        matrix, vector: (columns, columns) and (columns,) of the robust residual.
+        loss: its sum.
+        weight: how many pixels.
+        sums, slopes: for the statistics, and (columns, m) how they move.
+        jacobian: (columns, N) of the plain residual.
+        chord: (columns,) the gradient of the loss with the Jacobian that was given.
+        render: the tiles.
     """
 
     matrix: Any
@@ -40,6 +51,9 @@ class Normal(NamedTuple):
     weight: Any
     sums: Any
     slopes: Any
+    jacobian: Any
+    chord: Any
+    render: Any
 
 
 class Given(NamedTuple):
@@ -49,11 +63,15 @@ class Given(NamedTuple):
         fixed: the parameters that do not move (and, for the rest, their classes).
         median: index in `model.MEDIANS`.
         geometry: (4,) shift [px] and scale in y and x that the alignment found.
+        bends: whether the lens is rendered.
+        moving: (columns,) which parameters move; the derivative of the others is 0.
     """
 
     fixed: Params
     median: Any
     geometry: Any
+    bends: Any
+    moving: Any
 
 
 class Problem(NamedTuple):
@@ -75,28 +93,45 @@ class Problem(NamedTuple):
     def before(self) -> list[int]:
         """The columns that change what denoising gives."""
         before, after = model.around_median(self.place)
-        stages = {"vignetting", "geometry", "median", *before.names(), *after.names()}
+        stages = {"vignetting", "geometry", "median", *model.LENS, *before.names(), *after.names()}
         return [i for i, (stage, _) in enumerate(self.columns) if stage in stages]
 
+    def moving(self, bends: bool, median: bool) -> np.ndarray:
+        """Which columns can change the picture."""
+        still = (() if bends else model.LENS) + (() if median else ("median",))
+        return np.asarray([stage not in still for stage, _ in self.columns])
 
-def _warped(source: jax.Array, place: jax.Array, geometry: jax.Array, corner: Any) -> Any:
+    @property
+    def steps(self) -> np.ndarray:
+        """Of the difference along each column."""
+        distorts = [stage == "geometric_distortion" for stage, _ in self.columns]
+        return np.where(distorts, STEP * STEP_DISTORTION, STEP).astype(np.float32)
+
+
+def _warped(
+    source: jax.Array, place: jax.Array, geometry: jax.Array, optics: lens.Lens, chunk: Chunk, bends: Any
+) -> Any:
     """(SIDE, SIDE, 3) camera RGB under one tile of the picture, and its squared radius in the RAW.
 
     geometry: shift [px] and scale, each in y and x.
     """
     index = jnp.arange(SIDE, dtype=jnp.float32)
-    out, radii = source, []
-    for axis in range(2):
-        position = geometry[2 + axis] * (place[axis] + index) + geometry[axis]  # from the RAW's centre
-        out = _sample(jnp, out, position - place[2 + axis], axis)
-        radii.append(position**2)
-    return out, (radii[0][:, None] + radii[1]) / corner
+    lines = [geometry[2 + a] * (place[a] + index) + geometry[a] for a in range(2)]  # from the RAW's centre
+
+    def straight() -> jax.Array:
+        return _sample(jnp, _sample(jnp, source, lines[0] - place[2], 0), lines[1] - place[3], 1)
+
+    def bent() -> jax.Array:
+        return lens.warped(source, optics, lines[0], lines[1], place[2:], chunk.corner)
+
+    y, x = optics.bent(lines[0][:, None], lines[1][None], chunk.corner)
+    return jax.lax.cond(bends, bent, straight), (y * y + x * x) / chunk.corner
 
 
 def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: jax.Array) -> jax.Array:
     """Vignetting and `model.front`; `median` is the index of its footprint in `model.MEDIANS`."""
-    lens = params["vignetting"]
-    gain = _radial_gain(radius2, lens.a2, lens.a4, lens.a6)
+    shading = params["vignetting"]
+    gain = _radial_gain(radius2, shading.a2, shading.a4, shading.a6)
     before, after = model.around_median(place)
     filters = [stage("median", footprint=size) if size else Chain((), "no median") for size in model.MEDIANS]
     image = materialize(before(params, warped * gain[..., None]))
@@ -106,11 +141,15 @@ def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: 
 
 
 def _renders(
-    problem: Problem, given: Given, vectors: jax.Array, before: np.ndarray, chunk: Chunk
-) -> jax.Array:
-    """(K, T, TILE, TILE, 3): the tiles rendered with each row of `vectors` (camera, image, geometry).
+    problem: Problem, given: Given, vectors: jax.Array, moving: jax.Array, before: np.ndarray, chunk: Chunk
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The tiles rendered with each row of `vectors` (camera, image, geometry).
 
-    Rows that are not in `before` share the denoised picture of row 0, which must be.
+    Rows that are not in `before` share the denoised picture of row 0, which must be; those that are not
+    `moving` are left out (zeros).
+
+    Returns:
+        (K, N) residuals, (K, m) sums for the noise statistics, and (T, TILE, TILE, 3) of row 0.
     """
     layout, geometry = problem.layout, given.geometry
     cameras = layout.size(CAMERA)
@@ -120,32 +159,36 @@ def _renders(
     def params(vector: jax.Array) -> Params:
         return layout.params(given.fixed, vector[:cameras], vector[cameras:last])
 
-    def denoised(vector: jax.Array) -> jax.Array:
-        place = jnp.stack(
-            [
-                geometry[0] + vector[last],
-                geometry[1] + vector[last + 1],
-                geometry[2] + 1e-3 * vector[last + 2],
-                geometry[3] + 1e-3 * vector[last + 3],
-            ]
-        )
+    def denoised(row: Any) -> jax.Array:
+        vector, wanted = row
+        return jax.lax.cond(wanted, denoise, lambda _: jnp.zeros((TILES, SIDE, SIDE, 3)), vector)
+
+    def denoise(vector: jax.Array) -> jax.Array:
+        values, place = params(vector), geometry + vector[last:] * jnp.asarray(UNITS)
 
         def tile(source: jax.Array, at: jax.Array) -> jax.Array:
-            warped, radius2 = _warped(source, at, place, chunk.corner)
-            return _front(problem.place, given.median, params(vector), materialize(warped), radius2)
+            warped, radius2 = _warped(source, at, place, lens.Lens.of(values), chunk, given.bends)
+            return _front(problem.place, given.median, values, materialize(warped), radius2)
 
         return jax.vmap(tile)(chunk.source, chunk.place)
 
-    middles = jax.lax.map(denoised, vectors[before])
+    middles = jax.lax.map(denoised, (vectors[before], moving[before]))
     which = np.zeros(vectors.shape[0], np.int32)
     which[before] = np.arange(len(before))
 
-    def finished(row: Any) -> jax.Array:
-        vector, index = row
-        images = jax.vmap(lambda image: tail(params(vector), image))(middles[index])
-        return images[:, HALO:-HALO, HALO:-HALO]
+    def finished(row: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        vector, index, wanted = row
 
-    return jax.lax.map(finished, (vectors, jnp.asarray(which)))
+        def finish(middle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            images = jax.vmap(lambda image: tail(params(vector), image))(middle)
+            images = jnp.clip(images[:, HALO:-HALO, HALO:-HALO], 0, 1)  # as every file is
+            return _residual(images, chunk).ravel(), _sums(images, chunk), images
+
+        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(finish, middles[0]))
+        return jax.lax.cond(wanted, finish, lambda _: nothing, middles[index])
+
+    residuals, sums, images = jax.lax.map(finished, (vectors, jnp.asarray(which), moving))
+    return residuals, sums, images[0]
 
 
 def _residual(render: jax.Array, chunk: Chunk) -> jax.Array:
@@ -165,47 +208,41 @@ def _sums(render: jax.Array, chunk: Chunk) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> Normal:
-    """The normal equations of one chunk at `vector`, which is (camera, image, geometry)."""
-    count = len(problem.columns)
-    vectors = jnp.concatenate([vector[None], vector + STEP * jnp.eye(count)])
+def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk, near: Any) -> Normal:
+    """The normal equations of one chunk at `vector`, which is (camera, image, geometry).
+
+    Where nothing moves it is one render; `near` is a Jacobian from a place nearby, or zeros.
+    """
+    steps = problem.steps
+    vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
     before = np.concatenate([[0], 1 + np.asarray(problem.before, int)]).astype(int)
-    renders = _renders(problem, given, vectors, before, chunk)
-    residuals = jax.vmap(lambda r: _residual(r, chunk))(renders).reshape(count + 1, -1)
+    moving = jnp.concatenate([jnp.ones(1, bool), given.moving])
+    residuals, sums, render = _renders(problem, given, vectors, moving, before, chunk)
     loss, weight = _robust(residuals[0])
-    jacobian = (residuals[1:] - residuals[0]) / STEP
-    weighted = jacobian * weight
-    sums = jax.vmap(lambda r: _sums(r, chunk))(renders)
-    slopes = (sums[1:] - sums[0]) / STEP
-    exact = jax.lax.Precision.HIGHEST
-    matrix = jnp.matmul(weighted, jacobian.T, precision=exact)
-    vector_out = jnp.matmul(weighted, residuals[0], precision=exact)
-    return Normal(matrix, vector_out, loss, chunk.mask.sum(), sums[0], slopes)
+    share = (given.moving / steps)[:, None]
+    jacobian = (residuals[1:] - residuals[0]) * share
+    weighted = weight * residuals[0]
 
+    def product(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
-class Trial(NamedTuple):
-    """One chunk rendered: its loss, how many pixels, the sums for the noise statistics, and the tiles."""
+    def square(j: jax.Array) -> jax.Array:
+        return product(j * weight, j.T)
 
-    loss: Any
-    weight: Any
-    sums: Any
-    render: Any
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def trial(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> Trial:
-    """One chunk at `vector`."""
-    render = _renders(problem, given, vector[None], np.zeros(1, int), chunk)[0]
-    return Trial(_robust(_residual(render, chunk))[0], chunk.mask.sum(), _sums(render, chunk), render)
+    return Normal(
+        jax.lax.cond(given.moving.any(), square, lambda j: jnp.zeros((len(j), len(j))), jacobian),
+        product(jacobian, weighted),
+        loss,
+        chunk.mask.sum(),
+        sums[0],
+        (sums[1:] - sums[0]) * share,
+        jacobian,
+        product(near, weighted),
+        render,
+    )
 
 
 @jax.jit
 def sums_of(render: jax.Array, chunk: Chunk) -> jax.Array:
     """The sums for the noise statistics of tiles that were rendered."""
     return _sums(render, chunk)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def render_block(place: str, median: Any, params: Params, warped: jax.Array, radius2: jax.Array) -> jax.Array:
-    """A block of camera RGB rendered, before rounding: any size, with its own surroundings."""
-    return model.back(place)(params, _front(place, median, params, warped, radius2))

@@ -1,60 +1,59 @@
-"""Whole pictures rendered block by block, so that memory does not grow with them, and their figures."""
+"""Whole pictures rendered in tiles, and what else runs on whole pictures in parts: memory stays small."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit import model
-from jaxisp.fit.align import Alignment, warp
-from jaxisp.fit.program import render_block
-from jaxisp.fit.tiles import HALO
+from jaxisp.fit.solve import Fit
+from jaxisp.fit.tiles import TILE, TILES, Example, Shot, blank, padded, with_source
 from jaxisp.io import Jpeg
 from jaxisp.metrics import ssim_map
-from jaxisp.pipeline import Chain, Params, run
+from jaxisp.pipeline import Chain, run
 
-BLOCK = 256
 _STRIP = 512  # rows at once of what runs on whole pictures, a multiple of 16
 _STRIP_HALO = 16  # rows around, a multiple of 16 as the JPEG's largest unit
 
 
 def render(
-    design: model.Design,
-    params: Params,
-    camera_rgb: Any,
-    alignment: Alignment,
-    shape: tuple[int, ...],
-    jpeg: Jpeg | None = None,
+    fit: Fit,
+    vector: np.ndarray,
+    shot: Shot,
+    example: Example,
+    moved: np.ndarray | None = None,
+    where: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(H', W', 3) encoded sRGB in [0, 1], 8 bits, laid on the camera's picture.
+    """(H', W', 3) encoded sRGB in [0, 1], 8 bits, laid on the camera's picture, encoder included.
+
+    Tile by tile, by the program that was fitted.
 
     Args:
-        design: the discrete choices.
-        params: bounded.
-        camera_rgb: (H, W, 3), the whole demosaicked RAW.
-        alignment: of the RAW on the picture.
-        shape: of the picture.
-        jpeg: whose tables the render is compressed with, where there is one.
+        fit: whose choices and fixed parameters there are.
+        vector: of the camera, the image and its geometry.
+        shot: where the picture lies.
+        example: the picture, as the alignment turned it, and the RAW.
+        moved: another shift and scale to start from than the alignment's.
+        where: (H', W') the pixels that are wanted; tiles without one stay black.
     """
-    place = Alignment(*(jnp.float32(v) for v in alignment))
-    warped = np.asarray(warp(jnp.asarray(camera_rgb), place, shape))
-    radius2 = _radius2(alignment, shape, camera_rgb.shape)
-    out = np.empty(warped.shape, np.float32)
-    h, w = shape[:2]
-    block = tuple(min(BLOCK, -(-n // 32) * 32) for n in (h, w))
-    pads = [(HALO, HALO + -n % b) for n, b in zip((h, w), block)]
-    warped = np.pad(warped, [*pads, (0, 0)], mode="reflect")
-    radius2 = np.pad(radius2, pads, mode="edge")
-    median = np.int32(model.MEDIANS.index(design.median))
-    for y in range(0, h, block[0]):
-        for x in range(0, w, block[1]):
-            rows, columns = slice(y, y + block[0] + 2 * HALO), slice(x, x + block[1] + 2 * HALO)
-            done = render_block(design.place, median, params, warped[rows, columns], radius2[rows, columns])
-            part = np.asarray(done)[HALO:-HALO, HALO:-HALO]
-            out[y : y + block[0], x : x + block[1]] = part[: h - y, : w - x]
-    return compressed(np.round(np.clip(out, 0, 1) * 255) / 255, jpeg)
+    geometry = shot.geometry if moved is None else moved
+    own = fit.without_sampling() if shot.jpeg else fit
+    given = own.given(geometry)._replace(moving=np.zeros_like(fit.moving))
+    out = np.zeros(example.picture.shape, np.float32)
+    mosaic = padded(example)
+    h, w = example.picture.shape[:2]
+    corners = [(y, x) for y in range(0, h, TILE) for x in range(0, w, TILE)]
+    if where is not None:
+        corners = [(y, x) for y, x in corners if where[y : y + TILE, x : x + TILE].any()]
+    for first in range(0, len(corners), TILES):
+        some = corners[first : first + TILES]
+        chunk = with_source(blank(example, mosaic, shot, some), shot.cfa, fit.design)
+        tiles = np.asarray(fit.normal(given, vector.astype(np.float32), chunk).render)
+        for (y, x), tile in zip(some, tiles):
+            part = out[y : y + TILE, x : x + TILE]
+            part[:] = tile[: part.shape[0], : part.shape[1]]
+    return compressed(np.round(out * 255) / 255, shot.jpeg)
 
 
 def compressed(picture: np.ndarray, jpeg: Jpeg | None) -> np.ndarray:
@@ -87,14 +86,3 @@ def in_strips(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -
         done = function(image[first:last])
         parts.append(done[top - first : top - first + min(_STRIP, h - top)])
     return np.concatenate(parts)
-
-
-def _radius2(alignment: Alignment, shape: tuple[int, ...], raw_shape: tuple[int, ...]) -> np.ndarray:
-    """(H', W'): squared distance from the centre of the RAW of each pixel of the picture; its corner is 1."""
-    scales, shifts = (alignment.scale_y, alignment.scale_x), (alignment.dy, alignment.dx)
-    arms = [
-        float(scale) * (np.arange(n) - (n - 1) / 2) + float(shift)
-        for n, scale, shift in zip(shape[:2], scales, shifts)
-    ]
-    corner = max(sum((n - 1) ** 2 for n in raw_shape[:2]) / 4, 1)
-    return ((arms[0][:, None] ** 2 + arms[1] ** 2) / corner).astype(np.float32)

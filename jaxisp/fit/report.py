@@ -7,6 +7,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from jaxisp.fit.model import SET_FROM_FILE
 from jaxisp.fit.noise import KINDS
@@ -30,42 +31,63 @@ def write_report(result: FitResult, folder: str | Path) -> Path:
 def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
     """Add the figures of all pairs, and the pictures of the first few, to a page."""
     page.heading("The fit, before and after", f"Held out: {result.how}.")
-    page.table(
-        (
-            "pair",
-            "PSNR fitted [dB]",
-            "SSIM fitted",
-            "PSNR held out [dB]",
-            "SSIM held out",
-            "RAW to JPEG shift [px]",
-        ),
-        [
-            (
-                p.name,
-                f"{p.psnr:.2f}",
-                f"{p.ssim:.4f}",
-                f"{p.held_out_psnr:.2f}",
-                f"{p.held_out_ssim:.4f}",
-                f"y {p.shift[0]:+.2f}, x {p.shift[1]:+.2f}",
-            )
-            for p in result.pairs
-        ],
-    )
-    for pair in result.pairs[:most]:
-        difference = 0.5 + 5 * (pair.render - pair.target)
-        page.figures(
-            [
-                (f"{pair.name}: before (exposure and matrix by least squares)", pair.start),
-                ("after the fit", pair.render),
-                ("the camera's own picture", pair.target),
-                ("what is left, five times, around grey", difference),
-            ]
-        )
+    _add_pairs(page, result, most)
     said = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]
     said += [(name, reason) for name, reason in result.failed]
     if said:
         page.heading("What to know about pairs", "")
         page.table(("pair", "what"), said)
+    _add_noise(page, result)
+    page.heading(
+        "What was chosen", f"{result.design}. Objective of each choice after a step; lower is better."
+    )
+    page.table(("choice", "objective"), [(text, f"{value:.5f}") for text, value in result.tried])
+    page.heading(
+        "The camera that was found",
+        "Parameters with their bounds; a value at a bound is marked. The error is the relative standard "
+        "error from the curvature at the solution, the largest of a vector's; above 2.5 % a parameter is "
+        "not identified by these pairs.",
+    )
+    page.table(("stage", "parameter", "value", "bounds", "unit", "error"), parameter_rows(result))
+    if result.lens_px:
+        rows = [(name, f"{value:+.2f}") for name, value in result.lens_px.items()]
+        page.table(("displacement in the corner, of red and blue against green", "px"), rows)
+    page.figures([("objective by step; each phase has its own scale", _loss_figure(result.losses))])
+
+
+def _add_pairs(page: Page, result: FitResult, most: int) -> None:
+    head = (
+        "pair",
+        "PSNR fitted [dB]",
+        "SSIM fitted",
+        "PSNR held out [dB]",
+        "SSIM held out",
+        "RAW to JPEG shift [px]",
+    )
+    rows = [
+        (
+            p.name,
+            f"{p.psnr:.2f}",
+            f"{p.ssim:.4f}",
+            f"{p.held_out_psnr:.2f}",
+            f"{p.held_out_ssim:.4f}",
+            f"y {p.shift[0]:+.2f}, x {p.shift[1]:+.2f}",
+        )
+        for p in result.pairs
+    ]
+    page.table(head, rows)
+    for pair in result.pairs[:most]:
+        page.figures(
+            [
+                (f"{pair.name}: before (exposure and matrix by least squares)", pair.start),
+                ("after the fit", pair.render),
+                ("the camera's own picture", pair.target),
+                ("what is left, five times, around grey", 0.5 + 5 * (pair.render - pair.target)),
+            ]
+        )
+
+
+def _add_noise(page: Page, result: FitResult) -> None:
     page.heading(
         "Noise and edges",
         "In flat held-out regions: standard deviation and lag-1 autocorrelation of the noise, of the render "
@@ -81,18 +103,6 @@ def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
             for p in result.pairs
         ],
     )
-    page.heading(
-        "What was chosen", f"{result.design}. Objective of each choice after a step; lower is better."
-    )
-    page.table(("choice", "objective"), [(text, f"{value:.5f}") for text, value in result.tried])
-    page.heading(
-        "The camera that was found",
-        "Parameters with their bounds; a value at a bound is marked. The error is the relative standard "
-        "error from the curvature at the solution, the largest of a vector's; above 2.5 % a parameter is "
-        "not identified by these pairs.",
-    )
-    page.table(("stage", "parameter", "value", "bounds", "unit", "error"), parameter_rows(result))
-    page.figures([("objective by step; each phase has its own scale", _loss_figure(result.losses))])
 
 
 def _noise_rows(result: FitResult) -> list[tuple[str, ...]]:
@@ -132,7 +142,7 @@ def parameter_rows(result: FitResult) -> list[tuple[str, ...]]:
     return rows
 
 
-def _loss_figure(losses: np.ndarray) -> plt.Figure:
+def _loss_figure(losses: np.ndarray) -> Figure:
     figure, axes = plt.subplots(figsize=(6, 2.6))
     axes.semilogy(losses, color="#3b6ea5", linewidth=1.2)
     axes.set(xlabel="step", ylabel="objective")

@@ -64,6 +64,8 @@ class FitResult:
         design: the discrete choices in words, and what each one tried gave.
         identified: each fitted number with its relative standard error.
         at_bound: names of the parameters that ended at a bound.
+        lens_px: displacement in the corner, of all colours and of red and blue against green; empty where
+            there is none.
         per_image: by pair, the parameters that each image has of its own, by stage and field.
         failed: pairs that could not be used, with the reason.
     """
@@ -80,6 +82,7 @@ class FitResult:
     at_bound: list[str] = dataclasses.field(default_factory=list)
     per_image: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     resumed: bool = False
+    lens_px: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def unidentified(self) -> list[str]:
@@ -105,6 +108,7 @@ class FitResult:
             "unidentified": self.unidentified,
             "at_bound": self.at_bound,
             "per_image": self.per_image,
+            "lens_px": self.lens_px,
             "resumed": self.resumed,
             "failed": [{"file": name, "reason": reason} for name, reason in self.failed],
         }

@@ -9,6 +9,7 @@ import numpy as np
 from jaxisp.fit import model, noise
 from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
+from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.program import GEOMETRY, Problem, sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit, State, View
@@ -16,9 +17,15 @@ from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.pipeline import Chain, Params, run_batch
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
+FAR, STRESSED = (
+    2.0,
+    4,
+)  # tolerances that all intensities together may be off, and by what else they weigh more
 TRIAL = 1  # steps that each discrete choice gets: a second one changes no ranking
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
-FIRST_STEPS, LAST_STEPS = 14, 16
+FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
+SHOWS = 0.99  # of the objective, that the lens must reach
+COARSE = 4  # groups of tiles that the phases before the last one take, where there are so many
 
 Tick = Callable[[int, int, str], Any]
 
@@ -86,8 +93,12 @@ class Search:
         self.losses: list[float] = []
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
-        self.start = begin(self.views(options.first))
-        flags = sharing(self.start, options.per_image, options.fixed)
+        self.stated = all(shot.jpeg is not None for shot in self.shots)
+        self.start = begin(self.views(options.first), self._stated_lens())
+        if self.stated:
+            self.start |= model.sampled(self.shots[0].jpeg)
+        fixed = (*options.fixed, *([model.SAMPLING] if self.stated else []))
+        flags = sharing(self.start, options.per_image, fixed)
         self.problem = Problem(options.place, Layout.of(self.start, flags))
         self.origin = self._origin()
         self._done, self._total = 0, self._planned()
@@ -99,51 +110,75 @@ class Search:
             while len(self._sources) > 1:
                 self._sources.pop(next(iter(self._sources)))
             self._sources[key] = tuple(
-                View(tuple(with_source(c, shot.cfa, design) for c in shot.chunks), _geometry(shot))
+                View(tuple(with_source(c, shot.cfa, design) for c in shot.chunks), shot.geometry)
                 for shot in self.shots
             )
         return self._sources[key]
 
     def run(self) -> Outcome:
         """All phases."""
-        design, steps = self.options.first, self.options.steps
-        state = self._run("first", self._fit(design), self.origin, min(steps, FIRST_STEPS))
-        best = design
+        best, state = self._first()
         for group in (self._demosaickers, self._passes, self._medians):
             others = list(group(best))
             if not others:
                 continue
             trials = {d: self._try(group.__name__, d, state) for d in others}
-            plain = self._fit(best, now=self.origin).objective(state)
+            plain = self._fit(best).objective(state)
             self.tried.append((best.text, plain))
             chosen = min(trials, key=lambda d: trials[d].objective)
             if trials[chosen].objective < GAIN * plain:
                 best, state = chosen, trials[chosen]
         return self.finish(best, state)
 
+    def _first(self) -> tuple[model.Design, State]:
+        """Everything with plain choices; the lens only where the alignment found one, or where it shows."""
+        steps = min(self.options.steps, FIRST_STEPS)
+        design = dataclasses.replace(self.options.first, sampling=not self.stated)
+        bent = dataclasses.replace(design, lens=True)
+        if float(self._stated_lens().k1):
+            return bent, self._run("first", self._fit(bent), self.origin, steps)
+        state = self._run("first", self._fit(design), self.origin, steps)
+        tried = self._run("lens", self._fit(bent), _again(state), min(steps, LENS_STEPS))
+        shows = tried.objective < SHOWS * state.objective and self._bends(tried)
+        return (bent, tried) if shows else (design, state)
+
+    def _stated_lens(self) -> Lens:
+        return Lens(float(np.median([s.lens.k1 for s in self.shots])))
+
+    def _bends(self, state: State) -> bool:
+        """Whether distortion or lateral colour moves the corner by so much that it counts."""
+        params = self.problem.layout.params(self.start, state.camera, state.images[0])
+        corner = float(np.mean([s.chunks[0].corner for s in self.shots]))
+        return max(abs(v) for v in Lens.of(params).in_the_corner(corner).values()) > SMALLEST
+
     def finish(self, design: model.Design, state: State, name: str = "last") -> Outcome:
-        """The last phase, in two rounds: on from `state` with the noise statistics in the objective."""
-        steps, now = -(-min(self.options.steps, LAST_STEPS) // 2), state
+        """The last phase, in two rounds: on from `state` with the noise statistics in the objective.
+
+        Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
+        """
+        steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
         for turn in (1, 2):
             correction = self._encoder(self._fit(design, whole=True, now=now), now)
-            fit = self._fit(design, whole=True, now=state, statistics=STATISTICS, correction=correction)
-            fresh = dataclasses.replace(now, done=0, idle=0, damping=1e-2, objective=np.inf)
-            now = self._run(f"{name} {turn}", fit, fresh, steps)
+            fit = self._fit(design, whole=True, now=state, statistics=weight, correction=correction)
+            now = self._run(f"{name} {turn}", fit, _again(now), steps)
+            if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
+                weight = STRESSED * STATISTICS
         return Outcome(design, fit, now, self.start, self.losses, self.tried)
 
     def _encoder(self, fit: Fit, state: State) -> np.ndarray:
         """What each file's JPEG encoder adds to the noise statistics, in tolerances."""
-        before, after = np.zeros_like(fit.wanted), np.zeros_like(fit.wanted)
-        for pair, chunk, part in fit.trials(state):
-            own = np.asarray(part.sums, np.float64)
+        if not any(shot.jpeg for shot in self.shots):
+            return np.zeros_like(fit.misfit(state))
+        before = noise.rounded(np.sum([part.sums for _, _, part in fit.trials(state)], axis=0))
+        after = np.zeros_like(fit.wanted)
+        for pair, chunk, part in fit.without_sampling().trials(state):
             chain, tables = model.with_jpeg(Chain((), "encoder"), self.shots[pair].jpeg)
-            before += own
             if tables:
-                tiles = np.round(np.clip(part.render, 0, 1) * 255) / 255
-                after += np.asarray(sums_of(run_batch(chain, tables, tiles.astype(np.float32)), chunk))
+                tiles = (np.round(np.asarray(part.render) * 255) / 255).astype(np.float32)
+                after += np.asarray(sums_of(run_batch(chain, tables, tiles), chunk))
             else:
-                after += noise.rounded(own)
-        return noise.misfit(after, fit.wanted) - noise.misfit(noise.rounded(before), fit.wanted)
+                after += noise.rounded(np.asarray(part.sums))
+        return noise.misfit(after, fit.wanted) - noise.misfit(before, fit.wanted)
 
     def _demosaickers(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":
@@ -161,18 +196,29 @@ class Search:
                 yield dataclasses.replace(design, median=size)
 
     def _try(self, group: str, design: model.Design, state: State) -> State:
-        fresh = dataclasses.replace(state, done=0, idle=0, damping=1e-2, objective=np.inf)
-        fit = self._fit(design, now=self.origin)
-        after = self._run(f"{group.strip('_')}: {design.text}", fit, fresh, min(TRIAL, self.options.steps))
+        steps = min(TRIAL, self.options.steps)
+        after = self._run(f"{group.strip('_')}: {design.text}", self._fit(design), _again(state), steps)
         self.tried.append((design.text, after.objective))
         return after
 
     def _fit(self, design: model.Design, whole: bool = False, **options: Any) -> Fit:
-        """The problem on all tiles, or, until the last phase, on every second group of them."""
+        """The problem on all tiles, or, until the last phase, on some groups of them."""
         views = self.views(design)
         if not whole:
-            views = tuple(View(view.chunks[::2], view.geometry) for view in views)
-        return Fit(self.problem, self.start, views, self.origin, median=design.median, **options)
+            kept = self._coarse()
+            views = tuple(View(v.chunks[:n], v.geometry) for v, n in zip(views, kept))
+        return Fit(self.problem, self.start, views, self.origin, design, **{"now": self.origin, **options})
+
+    def _coarse(self) -> list[int]:
+        """How many groups of tiles of each pair the phases before the last take: half, or COARSE in all."""
+        counts = [len(shot.chunks) for shot in self.shots]
+        own = self.problem.layout.size(IMAGE) > 0
+        kept = [int(own)] * len(counts)
+        wanted = max(sum(counts) // 2, min(COARSE, sum(counts)))
+        while sum(kept) < wanted:  # evenly
+            shares = [k / n if k < n else np.inf for k, n in zip(kept, counts)]
+            kept[int(np.argmin(shares))] += 1
+        return kept
 
     def _run(self, name: str, fit: Fit, state: State, steps: int) -> State:
         saved, finished = self.journal.get(name)
@@ -200,11 +246,12 @@ class Search:
         return (
             min(steps, FIRST_STEPS)
             + min(steps, LAST_STEPS)
+            + min(LENS_STEPS, steps)
             + min(TRIAL, steps) * (self.options.trials + 3)
             + 1
         )
 
 
-def _geometry(shot: Shot) -> np.ndarray:
-    a = shot.alignment
-    return np.asarray([a.dy, a.dx, a.scale_y, a.scale_x], np.float32)
+def _again(state: State) -> State:
+    """The state at the start of another phase."""
+    return dataclasses.replace(state, done=0, idle=0, damping=1e-2, objective=np.inf)

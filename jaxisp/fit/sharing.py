@@ -17,6 +17,7 @@ CAMERA, IMAGE, FIXED = "camera", "image", "fixed"
 FIXED_NAMES = (
     "exposure",  # the colour matrix holds the scale; see `canonical`
     "vignetting.a6",
+    "geometric_distortion.k2",
     "denoise_encoding",
     "denoise_decoding",
     "unsharp_mask.threshold",

@@ -1,25 +1,29 @@
 """Gauss-Newton with Levenberg-Marquardt damping, over all chunks of all pairs."""
 
+import copy
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit import model, noise
-from jaxisp.fit.program import GEOMETRY, Given, Normal, Problem, Trial, normal_equations, sums_of, trial
+from jaxisp.fit.program import GEOMETRY, Given, Normal, Problem, normal_equations, sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE
-from jaxisp.fit.tiles import Chunk
+from jaxisp.fit.tiles import TILE, TILES, Chunk
 from jaxisp.pipeline import Params
 
 HOLD = 1e-5  # what a parameter one unit from its start counts: keeps what is unidentifiable where it was
 HOLD_ZONES = 1e-3  # of the zones of the tone curve, so that gamma and s-curve explain what they can
 HOLD_PLACE = 1e-2  # of the geometry, from what the alignment found
+HOLD_BENT = 1e-4  # of the scale under a lens: what the alignment found holds part of the distortion
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
-
-_COMPILED: set[Problem] = set()
+CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
+WORTH = 2e-3  # of the objective, that such a step must gain
 
 
 class View(NamedTuple):
@@ -62,7 +66,19 @@ class Equations:
     """The part of `matrix` that the pixels give, in squared levels."""
     loss: float
     weight: float
-    sums: np.ndarray
+    slopes: np.ndarray
+    """How each noise statistic moves, (n, m)."""
+    jacobians: list[Any]
+
+
+class Place(NamedTuple):
+    """The objective somewhere, its gradient with the Jacobians of a place nearby, the loss, and how far each
+    noise statistic is off, in tolerances."""
+
+    objective: float
+    vector: np.ndarray
+    loss: float
+    rows: np.ndarray
 
 
 class Fit:
@@ -73,7 +89,7 @@ class Fit:
         fixed: the parameters that do not.
         views: the tiles of each pair.
         start: what parameters are held near.
-        median: footprint of the median filter.
+        design: the discrete choices.
         now: whose mean loss counts as 1; the start's unless given.
         statistics: what one noise statistic a tolerance off counts against that loss. It is 0 until tone
             and colour are right: before, the noise would be matched by bending them.
@@ -86,14 +102,17 @@ class Fit:
         fixed: Params,
         views: Sequence[View],
         start: State,
+        design: model.Design,
         *,
-        median: str | None = None,
         now: State | None = None,
         statistics: float = 0.0,
         correction: np.ndarray | float = 0.0,
     ):
         self.statistics, self.correction = statistics, correction
-        self.median = np.int32(model.MEDIANS.index(median))
+        self.design = design
+        self.median = np.int32(model.MEDIANS.index(design.median))
+        self.bends = np.bool_(design.lens)
+        self.moving = problem.moving(design.lens, design.median is not None)
         self.problem, self.fixed, self.views, self.start = problem, fixed, tuple(views), start
         own = [np.asarray(sums_of(c.target, c), np.float64) for v in views for c in v.chunks]
         self.wanted: np.ndarray = np.sum(own, axis=0)
@@ -102,95 +121,115 @@ class Fit:
             [stage for stage, _ in problem.layout.names[IMAGE]],
         )
         holds = [[HOLD_ZONES if s == "zone_curve" else HOLD for s in names] for names in stages]
-        place = [HOLD_PLACE] * len(GEOMETRY)
+        place = [HOLD_PLACE] * 2 + [HOLD_BENT if design.lens else HOLD_PLACE] * 2
         self._hold = np.concatenate([holds[0], *[holds[1]] * len(views), *[place] * len(views)])
         self.scale = 1.0
-        self._warm_up()
         self.scale = max(self.loss(now or start), 1e-7)
 
-    def _warm_up(self) -> None:
-        """Compile the two programs side by side, where they are not compiled yet."""
-        if self.problem in _COMPILED:
-            return
-        _COMPILED.add(self.problem)
-        view = self.views[0]
-        given, vector = self._given(view), self._vector(self.start, 0)
-        with ThreadPoolExecutor(1) as pool:
-            other = pool.submit(normal_equations, self.problem, given, vector, view.chunks[0])
-            trial(self.problem, given, vector, view.chunks[0])
-            other.result()
+    @functools.cached_property
+    def _no_jacobian(self) -> jax.Array:
+        return jnp.zeros((len(self.problem.columns), 3 * TILES * TILE * TILE))
 
     def loss(self, state: State) -> float:
         """Mean robust loss of the pixels."""
-        total, weight, _ = self._sum(state)
-        return total / weight
+        return self._at(state).loss
+
+    def misfit(self, state: State) -> np.ndarray:
+        """How far the noise statistics are off, in tolerances: see `noise.misfit`."""
+        return self._at(state).rows
 
     def objective(self, state: State) -> float:
-        total, weight, sums = self._sum(state)
-        return self._objective(state, total / weight, sums)
+        """What the fit lowers: the loss against that of `now`, the statistics, and the pull of the start."""
+        return self._at(state).objective
 
-    def _sum(self, state: State) -> tuple[float, float, np.ndarray]:
-        total, weight, sums = 0.0, 0.0, np.zeros_like(self.wanted)
-        for _, _, part in self.trials(state):
-            total, weight = total + float(part.loss), weight + float(part.weight)
-            sums = sums + np.asarray(part.sums)
-        return total, weight, noise.rounded(sums)
-
-    def trials(self, state: State) -> Iterator[tuple[int, Chunk, Trial]]:
+    def trials(self, state: State, jacobians: Sequence[Any] = ()) -> Iterator[tuple[int, Chunk, Normal]]:
         """All chunks rendered: which pair, the chunk, and what came of it."""
+        count = 0
         for i, view in enumerate(self.views):
+            given = self.given(view.geometry)._replace(moving=np.zeros_like(self.moving))
+            vector = self.vector(state, i)
             for chunk in view.chunks:
-                yield i, chunk, trial(self.problem, self._given(view), self._vector(state, i), chunk)
+                yield i, chunk, self.normal(given, vector, chunk, jacobians[count] if jacobians else None)
+                count += 1
 
-    def _given(self, view: View) -> Given:
-        return Given(self.fixed, self.median, view.geometry)
+    def without_sampling(self) -> "Fit":
+        """The same, with chroma sampling left to an encoder."""
+        other = copy.copy(self)
+        other.fixed = self.fixed | model.sampled(None)
+        return other
 
-    def _vector(self, state: State, pair: int) -> np.ndarray:
+    def given(self, geometry: np.ndarray) -> Given:
+        """What is known of a pair."""
+        return Given(self.fixed, self.median, geometry, self.bends, self.moving)
+
+    def normal(self, given: Given, vector: np.ndarray, chunk: Chunk, near: Any = None) -> Normal:
+        """One chunk at a place."""
+        return normal_equations(
+            self.problem, given, vector, chunk, self._no_jacobian if near is None else near
+        )
+
+    def vector(self, state: State, pair: int) -> np.ndarray:
+        """That of one pair: camera, image and geometry."""
         return np.concatenate([state.camera, state.images[pair], state.places[pair]]).astype(np.float32)
+
+    def _index(self, pair: int) -> np.ndarray:
+        """Where the columns of one pair stand among all."""
+        cameras, images = len(self.start.camera), len(self.start.images[0])
+        own = cameras + images * pair + np.arange(images)
+        place = cameras + images * len(self.views) + len(GEOMETRY) * pair + np.arange(len(GEOMETRY))
+        return np.concatenate([np.arange(cameras), own, place])
 
     def _deviation(self, state: State) -> np.ndarray:
         return _flat(state) - _flat(self.start)
 
-    def _objective(self, state: State, loss: float, sums: np.ndarray) -> float:
-        held = (self._hold * self._deviation(state) ** 2).sum()
-        misfit = _softened(noise.misfit(sums, self.wanted) + self.correction)[0]
-        return float(loss / self.scale + self.statistics * misfit + held)
+    def _at(self, state: State, near: "Equations | None" = None) -> "Place":
+        """The objective at a state, and its gradient with the Jacobians of a place nearby."""
+        vector, total, weight = np.zeros(len(self._hold)), 0.0, 0.0
+        sums = np.zeros_like(self.wanted)
+        for i, _, part in self.trials(state, near.jacobians if near else ()):
+            total, weight = total + float(part.loss), weight + float(part.weight)
+            sums = sums + np.asarray(part.sums)
+            vector[self._index(i)] += np.asarray(part.chord)
+        rows = noise.misfit(noise.rounded(sums), self.wanted) + self.correction
+        misfit, soft = _softened(rows)
+        deviation = self._deviation(state)
+        objective = total / weight / self.scale + self.statistics * misfit + self._hold @ deviation**2
+        gradient = vector / (weight * self.scale) + self._hold * deviation
+        if near is not None:
+            gradient += self.statistics * (near.slopes * soft) @ rows
+        return Place(float(objective), gradient, total / weight, rows)
 
     def equations(self, state: State) -> Equations:
         """The objective at a state, its gradient and its Gauss-Newton matrix."""
-        cameras, images = len(state.camera), len(state.images[0])
         size = len(self._hold)
         data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
-        sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
+        sums, slopes, jacobians = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted))), []
         for i, view in enumerate(self.views):
-            own = cameras + images * i + np.arange(images)
-            place = cameras + images * len(self.views) + len(GEOMETRY) * i + np.arange(len(GEOMETRY))
-            index = np.concatenate([np.arange(cameras), own, place])
+            index, given, at = self._index(i), self.given(view.geometry), self.vector(state, i)
             for chunk in view.chunks:
-                part = _numpy(
-                    normal_equations(self.problem, self._given(view), self._vector(state, i), chunk)
-                )
-                data[np.ix_(index, index)] += part.matrix
-                vector[index] += part.vector
-                slopes[index] += part.slopes
-                sums += part.sums
+                part = self.normal(given, at, chunk)
+                data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
+                vector[index] += np.asarray(part.vector, np.float64)
+                slopes[index] += np.asarray(part.slopes, np.float64)
+                sums += np.asarray(part.sums, np.float64)
                 total, weight = total + float(part.loss), weight + float(part.weight)
+                jacobians.append(part.jacobian)
         sums = noise.rounded(sums)
-        matrix, right = data / (weight * self.scale), vector / (weight * self.scale)
         rows = noise.misfit(sums, self.wanted) + self.correction
+        misfit, soft = _softened(rows)
         jacobian = _slopes_of_misfit(sums, self.wanted, slopes)
-        soft = _softened(rows)[1]
-        matrix = matrix + self.statistics * (jacobian * soft) @ jacobian.T + np.diag(self._hold)
-        right = right + self.statistics * (jacobian * soft) @ rows + self._hold * self._deviation(state)
-        objective = self._objective(state, total / weight, sums)
-        return Equations(objective, matrix, right, data, total, weight, sums)
+        deviation, share = self._deviation(state), 1 / (weight * self.scale)
+        matrix = share * data + self.statistics * (jacobian * soft) @ jacobian.T + np.diag(self._hold)
+        right = share * vector + self.statistics * (jacobian * soft) @ rows + self._hold * deviation
+        objective = float(share * total + self.statistics * misfit + self._hold @ deviation**2)
+        return Equations(objective, matrix, right, data, total, weight, jacobian, jacobians)
 
     def run(
         self,
         state: State,
         steps: int,
         tick: Callable[[State], Any] = lambda state: None,
-        tolerance: float = 2e-4,
+        tolerance: float = 1e-3,
     ) -> State:
         """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective."""
         while state.done < steps and state.idle < 2:
@@ -204,18 +243,31 @@ class Fit:
         return state
 
     def _step(self, state: State, at: Equations) -> State:
-        damping, diagonal = state.damping, at.matrix.diagonal() + SMALLEST
+        """One step, damped until it lowers the objective; then on with the same matrix while that pays."""
+        damping = state.damping
         for _ in range(5):
-            step = np.linalg.solve(at.matrix + damping * np.diag(diagonal), -at.vector)
-            step = np.clip(step, -LONGEST, LONGEST)
-            there = state.moved(step)
-            value = self.objective(there)
-            if np.isfinite(value) and value < at.objective:
-                return dataclasses.replace(
-                    there, objective=value, damping=max(damping / 5, 1e-5), done=state.done + 1
-                )
+            there, place = self._moved(state, at, at.vector, damping)
+            if place.objective < at.objective:
+                break
             damping *= 6
-        return dataclasses.replace(state, damping=min(damping, 1e3), done=state.done + 1)
+        else:
+            return dataclasses.replace(state, damping=min(damping, 1e3), done=state.done + 1)
+        for _ in range(CHORDS):
+            further, value = self._moved(there, at, place.vector, damping)
+            if not value.objective < place.objective - WORTH * at.objective:
+                break
+            there, place = further, value
+        return dataclasses.replace(
+            there, objective=place.objective, damping=max(damping / 5, 1e-5), done=state.done + 1
+        )
+
+    def _moved(
+        self, state: State, at: Equations, vector: np.ndarray, damping: float
+    ) -> "tuple[State, Place]":
+        diagonal = at.matrix.diagonal() + SMALLEST
+        step = np.linalg.solve(at.matrix + damping * np.diag(diagonal), -vector)
+        there = state.moved(np.clip(step, -LONGEST, LONGEST))
+        return there, self._at(there, at)
 
 
 def _flat(state: State) -> np.ndarray:
@@ -233,7 +285,3 @@ def _slopes_of_misfit(sums: np.ndarray, wanted: np.ndarray, slopes: np.ndarray) 
     base = noise.misfit(sums, wanted)
     step = 1e-3
     return np.stack([(noise.misfit(sums + step * s, wanted) - base) / step for s in slopes])
-
-
-def _numpy(part: Normal) -> Normal:
-    return Normal(*(np.asarray(p, np.float64) for p in part))

@@ -1,7 +1,7 @@
 """Pairs made ready: aligned, split into tiles to fit and tiles to report, and the tiles that are fitted."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +12,8 @@ from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
 from jaxisp.color import LUMA_601
 from jaxisp.errors import InputError
 from jaxisp.fit import model, noise
-from jaxisp.fit.align import Alignment, best_orientation, covered, estimate, same_scene
+from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene
+from jaxisp.fit.lens import STRAIGHT, Lens, covered, radial
 from jaxisp.io import Jpeg, Raw, orient
 from jaxisp.io.orientation import INVERSE
 from jaxisp.losses import border_mask, clip_mask
@@ -25,7 +26,7 @@ HALO = 16  # px around a tile that the filters see: bilateral 8, median 2, unsha
 SIDE = TILE + 2 * HALO
 MARGIN = 8  # more of the mosaic, for the warp and the demosaicker
 SOURCE = SIDE + 2 * MARGIN
-TILES = 8  # of one pair, in one call
+TILES = 4  # of one pair, in one call
 BORDER = 8
 FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
 HOW = f"a checkerboard of {TILE}x{TILE} tiles: half are fitted, the other half reported"
@@ -80,6 +81,14 @@ class Shot:
     notes: tuple[str, ...] = ()
     raw_noise: tuple[float, float] | None = None
     """Shot (variance) and read (standard deviation) of green, where the RAW states them."""
+    lens: Lens = STRAIGHT
+    """The distortion that the alignment found."""
+
+    @property
+    def geometry(self) -> np.ndarray:
+        """Shift and scale as the alignment found them."""
+        a = self.alignment
+        return np.asarray([a.dy, a.dx, a.scale_y, a.scale_x], np.float32)
 
 
 class Split(NamedTuple):
@@ -115,7 +124,7 @@ def _demosaic_tiles(chain: Chain, mosaics: np.ndarray) -> jax.Array:
     return run_batch(chain, {}, jnp.asarray(mosaics))
 
 
-def align(example: Example) -> tuple[Example, Alignment, int, tuple[str, ...]]:
+def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, ...]]:
     """Where the RAW lies on the picture; a picture that was turned or mirrored is turned back.
 
     Raises:
@@ -151,12 +160,16 @@ def align(example: Example) -> tuple[Example, Alignment, int, tuple[str, ...]]:
         )
     # a turned picture is not on its encoder's grid any more
     jpeg = example.jpeg if orientation == 1 else None
-    return dataclasses.replace(example, picture=picture, jpeg=jpeg), alignment, orientation, tuple(notes)
+    alignment, k1 = radial(picture, guess, alignment)
+    example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
+    return example, alignment, Lens(k1), orientation, tuple(notes)
 
 
-def split(target: np.ndarray, alignment: Alignment, raw_shape: tuple[int, ...]) -> Split:
+def split(
+    target: np.ndarray, alignment: Alignment, raw_shape: tuple[int, ...], lens: Lens = STRAIGHT
+) -> Split:
     """A checkerboard of tiles. Clipped pixels are not fitted: they say only that a scene was brighter."""
-    inside = np.asarray(covered(alignment, raw_shape, target.shape) & border_mask(target.shape, BORDER))
+    inside = covered(alignment, lens, raw_shape, target.shape) & np.asarray(border_mask(target.shape, BORDER))
     unclipped = np.asarray(clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
     y, x = np.indices(target.shape[:2], dtype=np.int32)
     even = (y // TILE + x // TILE) % 2 == 0
@@ -169,20 +182,36 @@ def prepare(example: Example, most: int = 32) -> Shot:
     Raises:
         InputError: the pair cannot be fitted.
     """
-    example, alignment, orientation, notes = align(example)
-    masks = split(example.picture, alignment, example.raw.mosaic.shape)
+    example, alignment, lens, orientation, notes = align(example)
+    masks = split(example.picture, alignment, example.raw.mosaic.shape, lens)
     if not masks.fitted.any() or not masks.held_out.any():
         raise InputError(
             f"{example.name}: nothing to fit: pictures are smaller than two tiles, or all clipped"
         )
     corners = _choose(example.picture, masks.fitted, most)
-    mosaic = np.pad(balanced(example.raw), _PAD, mode="reflect")
-    tiles = [_tile(example, mosaic, alignment, masks.fitted, corner) for corner in corners]
+    mosaic = padded(example)
+    tiles = [_tile(example, mosaic, alignment, lens, masks.fitted, corner) for corner in corners]
     flat = _regions(example.picture, masks.fitted)
     chunks = tuple(_chunks(tiles, [_cut(flat, corner) for corner in corners], example.raw.mosaic.shape))
     stated = example.raw.noise_profile
     green = None if stated is None else (float(stated[1][0]), float(stated[1][1]))
-    return Shot(example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, green)
+    return Shot(
+        example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, green, lens
+    )
+
+
+def padded(example: Example) -> np.ndarray:
+    """The balanced mosaic with what lies beyond its border."""
+    return np.pad(balanced(example.raw), _PAD, mode="reflect")
+
+
+def blank(example: Example, mosaic: np.ndarray, shot: Shot, corners: Sequence[tuple[int, int]]) -> Chunk:
+    """Tiles that are only to be rendered: nothing in them is fitted."""
+    nowhere = np.zeros(example.picture.shape[:2], bool)
+    tiles = [_tile(example, mosaic, shot.alignment, shot.lens, nowhere, corner) for corner in corners]
+    rows = TILE // noise.BLOCK
+    empty = np.zeros((noise.BINS, rows, rows), np.float32), np.zeros((TILE, TILE), np.float32)
+    return next(_chunks(tiles, [empty] * len(tiles), example.raw.mosaic.shape))
 
 
 def _choose(target: np.ndarray, fitted: np.ndarray, most: int) -> list[tuple[int, int]]:
@@ -206,7 +235,12 @@ def _choose(target: np.ndarray, fitted: np.ndarray, most: int) -> list[tuple[int
 
 
 def _tile(
-    example: Example, mosaic: np.ndarray, alignment: Alignment, fitted: np.ndarray, corner: tuple[int, int]
+    example: Example,
+    mosaic: np.ndarray,
+    alignment: Alignment,
+    lens: Lens,
+    fitted: np.ndarray,
+    corner: tuple[int, int],
 ) -> tuple[np.ndarray, ...]:
     """(source, target, mask, place) of one tile."""
     y, x = corner
@@ -215,7 +249,8 @@ def _tile(
     first = np.asarray(corner) - HALO - center  # of the rendered tile, from the picture's centre
     scale = np.asarray([alignment.scale_y, alignment.scale_x], float)
     shift = np.asarray([alignment.dy, alignment.dx], float)
-    middle = raw_center + scale * (first + (SIDE - 1) / 2) + shift
+    middle = scale * (first + (SIDE - 1) / 2) + shift
+    middle = raw_center + np.asarray(lens.bent(middle[0], middle[1], float((raw_center**2).sum())))
     origin = 2 * np.round((middle - (SOURCE - 1) / 2) / 2).astype(int)  # keeps the phase of the mosaic
     limit = np.asarray(mosaic.shape) - SOURCE - _PAD
     origin = np.clip(origin, -_PAD, limit - limit % 2)
