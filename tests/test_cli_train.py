@@ -31,7 +31,7 @@ def clean(tmp_path):
     return folder
 
 
-def test_train_denoise_evaluate(capsys, clean, tmp_path):
+def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     (clean / "bad.png").write_bytes(b"no picture")
     trained, out = tmp_path / "run", tmp_path / "out"
     status, text, err = run(
@@ -55,6 +55,11 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path):
     assert status == 0 and json.loads(text)["step"] == 3
     status, _, err = run(capsys, "train", "-o", trained, "--resume", "--lr", 0.5)
     assert status == 2 and "was begun with lr = 0.001" in err
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxisp.train.trainer._Signals.came", True)  # as if a signal had come
+        for flags, wanted in (((), 0), (("--stop-status", 75), 75)):
+            status, text, _ = run(capsys, "train", "-o", trained, "--resume", "--steps", 4, *flags)
+            assert status == wanted and "3 steps" in text and "stopped" in text
 
     status, text, _ = run(capsys, "degrade", clean / "0.png", "-o", tmp_path / "pairs", "--recipe", "awgn")
     noisy = tmp_path / "pairs" / "0_000.noisy.png"

@@ -45,6 +45,10 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     command.add_argument("-o", "--out", required=True, metavar="RUN", help="the run is written here")
     command.add_argument("--resume", action="store_true", help="go on from the run's last checkpoint")
+    command.add_argument(
+        "--stop-status", type=int, default=0, metavar="N",
+        help="exit status where a signal ended it before its last step (default 0), for schedulers",
+    )  # fmt: skip
     for flag, kind, text in _OPTIONS:
         command.add_argument(flag, type=kind, help=text)
     command.add_argument(
@@ -96,7 +100,7 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result)
     report_failures(result.skipped)  # a warning each: the run is whole without them
-    return 0
+    return 0 if result.finished else arguments.stop_status
 
 
 def _print(result: Any) -> None:

@@ -82,7 +82,7 @@ class NAFNet(nnx.Module):
     ) -> None:
         widths = [features * 2**i for i in range(len(encoder) + 1)]
 
-        def blocks(width: int, count: int) -> nnx.List:
+        def blocks(width: int, count: int) -> nnx.List[Any]:
             return nnx.List([Block(width, rngs=rngs, dtype=dtype) for _ in range(count)])
 
         def change(inputs: int, outputs: int, kernel: int = 1, **options: Any) -> nnx.Conv:
@@ -112,7 +112,7 @@ class NAFNet(nnx.Module):
         return x + self.ending(y).astype(x.dtype)[:, :h, :w]
 
 
-def _through(blocks: nnx.List, x: jax.Array) -> jax.Array:
+def _through(blocks: nnx.List[Any], x: jax.Array) -> jax.Array:
     for block in blocks:
         x = block(x)
     return x

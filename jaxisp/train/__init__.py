@@ -3,20 +3,23 @@
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.denoiser import Denoiser, denoise_files, load_denoiser
 from jaxisp.train.devices import make_mesh, replicate, spread
-from jaxisp.train.evaluate import evaluate_dataset
+from jaxisp.train.evaluate import AlignedPair, align_dataset, evaluate_dataset, evaluate_pairs
 from jaxisp.train.optimizer import make_optimizer, schedule
 from jaxisp.train.step import LOSSES, State, degrader, init_state, make_step, weights
 from jaxisp.train.trainer import TrainResult, train
 
 __all__ = [
     "LOSSES",
+    "AlignedPair",
     "Denoiser",
     "State",
     "TrainConfig",
     "TrainResult",
+    "align_dataset",
     "degrader",
     "denoise_files",
     "evaluate_dataset",
+    "evaluate_pairs",
     "init_state",
     "load_denoiser",
     "make_mesh",

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, read_toml
+from jaxisp.io.files import atomic_write, read_toml, short
 
 Light = Literal["encoded", "linear"]
 _CHOICES = {
@@ -123,11 +123,11 @@ class TrainConfig:
 def _typed(what: str, kind: Any, value: Any) -> Any:
     if typing.get_origin(kind) is tuple:
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise InputError(f"{what} = {value!r}: expected a list of folders")
+            raise InputError(f"{what} = {short(value)}: expected a list of folders")
         return tuple(value)
     wanted = dict if typing.get_origin(kind) is dict else kind
-    if wanted is float and type(value) is int:
+    if wanted is float and type(value) is int and abs(value) < 1 << 53:
         return float(value)
     if type(value) is not wanted:
-        raise InputError(f"{what} = {value!r}: expected {wanted.__name__}")
+        raise InputError(f"{what} = {short(value)}: expected {wanted.__name__}")
     return value

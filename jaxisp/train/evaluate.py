@@ -1,7 +1,8 @@
 """PSNR and SSIM on clean+noisy pairs, aligned and normalised as in the paper."""
 
+import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,32 @@ from jaxisp.metrics import match_moments, psnr, ssim
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 _INTERPOLATION = 2  # px beyond which bicubic interpolation does not read
+_AROUND = 64  # px around a crop that a denoiser may look at
 _FIGURES = ("psnr_in", "ssim_in", "psnr", "ssim")
 
 ALIGNED = "clean resampled onto the noisy picture: phase correlation, then sub-pixel shift and scale"
 NORMALISED = "clean given the mean and standard deviation of what it is compared with, per channel"
+
+
+@dataclasses.dataclass(frozen=True)
+class AlignedPair:
+    """A noisy picture with the clean one laid on it.
+
+    Args:
+        name: of the pair.
+        noisy: (H, W, 3) encoded sRGB, what a denoiser gets.
+        area: rows and columns of `noisy` that figures are taken over.
+        clean: linear light, of `area`.
+        aligned: whether it could be told where the clean picture lies; left where it was if not.
+        shift_px: (dy, dx) of the clean picture.
+    """
+
+    name: str
+    noisy: np.ndarray
+    area: tuple[slice, slice]
+    clean: np.ndarray
+    aligned: bool
+    shift_px: tuple[float, float]
 
 
 def evaluate_dataset(
@@ -50,47 +73,90 @@ def evaluate_dataset(
     Raises:
         InputError: no data set of such pairs, or none that can be read.
     """
+    failed: list[tuple[str, str]] = []
+    pairs = align_dataset(folder, crop=crop, failed=failed, tick=tick)
+    result = evaluate_pairs(denoise, pairs, light=light)
+    if not result["pairs"]:
+        raise InputError(failed[0][1])
+    return {**result, "failed": failed}
+
+
+def align_dataset(
+    folder: str | Path,
+    *,
+    crop: int | None = None,
+    failed: list[tuple[str, str]] | None = None,
+    tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
+) -> Iterator[AlignedPair]:
+    """The clean+noisy pairs of a folder, aligned once: for those who measure several denoisers.
+
+    Args:
+        folder: a data set.
+        crop: as in `evaluate_dataset`; 64 px around it are kept for the denoiser to look at.
+        failed: is given (file, reason) of what could not be used.
+        tick: called with (done, total, text).
+
+    Raises:
+        InputError: no data set of such pairs.
+    """
     dataset = open_dataset(folder, kind="clean+noisy")
-    failed = [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
-    rows = []
+    failed = [] if failed is None else failed
+    failed += [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
     for i, pair in enumerate(dataset.pairs):
         tick(i, len(dataset.pairs), pair.name)
         try:
-            rows.append({"name": pair.name, **_evaluate(denoise, pair.load(), light, crop)})
+            aligned = _aligned(pair.load(), crop)
         except InputError as error:
             failed.append((pair.name, str(error)))
+            continue
+        yield aligned
     tick(len(dataset.pairs), len(dataset.pairs), "")
-    if not rows:
-        raise InputError(failed[0][1])
-    mean = {name: float(np.mean([row[name] for row in rows])) for name in _FIGURES}
+
+
+def evaluate_pairs(
+    denoise: Callable[[np.ndarray], np.ndarray], pairs: Iterable[AlignedPair], *, light: str = "linear"
+) -> dict[str, Any]:
+    """As `evaluate_dataset`, on pairs that are aligned already; without "failed"."""
+    rows = [_evaluate(denoise, pair, light) for pair in pairs]
     return {
         "pairs": rows,
-        "mean": mean,
+        "mean": {name: float(np.mean([row[name] for row in rows])) for name in _FIGURES} if rows else {},
         "aligned": ALIGNED,
         "normalised": NORMALISED,
         "light": light,
         "ssim": "gaussian window, sigma 1.5",
-        "failed": failed,
     }
 
 
-def _evaluate(denoise: Any, pair: Loaded, light: str, crop: int | None) -> dict[str, Any]:
+def _evaluate(denoise: Any, pair: AlignedPair, light: str) -> dict[str, Any]:
+    figures: dict[str, float] = {}
+    for suffix, picture in (("_in", pair.noisy), ("", denoise(pair.noisy))):
+        values = _compare(jnp.asarray(pair.clean), jnp.asarray(picture[pair.area]), light)
+        figures |= {f"psnr{suffix}": float(values[0]), f"ssim{suffix}": float(values[1])}
+    return {"name": pair.name, **figures, "aligned": pair.aligned, "shift_px": list(pair.shift_px)}
+
+
+def _aligned(pair: Loaded, crop: int | None) -> AlignedPair:
     clean, noisy = pair.clean, pair.picture
     assert clean is not None, "a clean+noisy pair has one"
     linear = srgb_eotf(jnp.asarray(clean)) if pair.settings.clean_encoding == "srgb" else jnp.asarray(clean)
     place, trusted = _align(pair.name, noisy, np.asarray(srgb_oetf(linear)))
-    laid = warp(linear, place, noisy.shape)
     area = _rectangle(np.asarray(covered(place, clean.shape, noisy.shape)), crop)
     if min(s.stop - s.start for s in area) < 16:
         raise InputError(f"{pair.name}: the clean picture covers too little of the noisy one")
-    around = tuple(slice(max(0, s.start - 64), s.stop + 64) for s in area) if crop else (slice(None),) * 2
-    output = np.zeros_like(noisy)
-    output[around] = denoise(np.ascontiguousarray(noisy[around]))
-    figures: dict[str, float] = {}
-    for suffix, picture in (("_in", noisy), ("", output)):
-        values = _compare(laid[area], jnp.asarray(picture[area]), light)
-        figures |= {f"psnr{suffix}": float(values[0]), f"ssim{suffix}": float(values[1])}
-    return {**figures, "aligned": trusted, "shift_px": [round(float(place.dy), 3), round(float(place.dx), 3)]}
+    laid = np.asarray(warp(linear, place, noisy.shape)[area])
+    if crop:
+        noisy, area = _around(noisy, area)
+    shift = (round(float(place.dy), 3), round(float(place.dx), 3))
+    return AlignedPair(pair.name, noisy, area, laid, trusted, shift)
+
+
+def _around(noisy: np.ndarray, area: tuple[slice, slice]) -> tuple[np.ndarray, tuple[slice, slice]]:
+    """The picture cut to an area and what is near it, and where the area lies in that."""
+    tops = [max(0, s.start - _AROUND) for s in area]
+    rows, columns = (slice(top, s.stop + _AROUND) for top, s in zip(tops, area))
+    inner = [slice(s.start - top, s.stop - top) for top, s in zip(tops, area)]
+    return np.ascontiguousarray(noisy[rows, columns]), (inner[0], inner[1])
 
 
 def _align(name: str, noisy: np.ndarray, clean: np.ndarray) -> tuple[Alignment, bool]:

@@ -66,7 +66,8 @@ def load_settings(run: str | Path) -> tuple[TrainConfig, Recipe]:
 def write_card(run: Path, config: TrainConfig, recipe: Recipe, result: dict[str, Any], data: str) -> None:
     """MODEL_CARD.md: what the network is, what it was trained on, how well it does, what it is not for."""
     best = result["best"]
-    figures = f"{best['psnr']:.2f} dB at step {best['step']}" if best else "not validated"
+    figures = f"{best['psnr']:.2f} dB at step {best['step']}, " if best else "none yet, "
+    figures += f"noisy input {_psnr_in(result)}"
     settings = "\n".join(f"| {name} | {value} |" for name, value in dataclasses.asdict(config).items())
     text = f"""# {config.model} trained on `{recipe.name}`
 
@@ -75,12 +76,12 @@ A denoiser for photographs, which it sees in {_LIGHTS[config.light]}.
 - **Network**: {config.model}, {result["parameters"]} parameters, options {config.model_options or "none"}.
 - **Trained for**: {result["step"]} of {config.steps} steps of {config.batch} patches of {config.patch} px,
   seed {config.seed}{"" if result["finished"] else " (stopped before its end)"}.
-- **Clean photographs**: {data}, made smaller by {config.downsample} in linear light.
+- **Clean photographs**: {data}, {_size(config.downsample)}.
 - **Degraded by**: `{recipe.name}`: {recipe.description or "no description"}. Its text is in {RECIPE}.
 - **Weights**: {f"averaged with a decay of {config.ema}" if config.ema else "those of the last step"};
   `checkpoints/best` has those of the best validation.
-- **Validation**: {figures}, noisy input {_psnr_in(result)}, on {config.validation} simulated patches of
-  photographs that were held out from training (fixed crops, parameters and noise).
+- **Validation**: {figures}, on {config.validation} simulated patches of photographs that
+  were held out from training (fixed crops, parameters and noise).
 - **Made with**: jaxisp {__version__}, {result["devices"]}.
 
 Noise unlike what the recipe draws, other cameras and other processing are outside what it was trained
@@ -97,6 +98,10 @@ Recipe:
 """
     with atomic_write(run / CARD) as file:
         file.write(text.encode())
+
+
+def _size(factor: int) -> str:
+    return f"made smaller by {factor} in linear light" if factor > 1 else "used at their own size"
 
 
 def _psnr_in(result: dict[str, Any]) -> str:

@@ -53,7 +53,7 @@ def test_any_size_keeps_its_shape(name):
     noisy = jax.random.uniform(jax.random.key(0), (2, 13, 17, 3))
     out = run(model, noisy)
     assert out.shape == noisy.shape and out.dtype == jnp.float32 and bool(jnp.isfinite(out).all())
-    half = make_model(name, dtype=jnp.bfloat16, **SMALL[name])
+    half = nnx.eval_shape(lambda: make_model(name, dtype=jnp.bfloat16, **SMALL[name]))
     graph, state = nnx.split(half)
     assert jax.eval_shape(lambda s, x: nnx.merge(graph, s)(x), state, noisy).dtype == jnp.float32
     assert {p.dtype for p in jax.tree.leaves(nnx.state(half, nnx.Param))} == {jnp.dtype("float32")}

@@ -1,5 +1,6 @@
 """Runs: stopped and resumed to the same bits, killed, short of disk, two at once, over two processes."""
 
+import contextlib
 import csv
 import dataclasses
 import fcntl
@@ -20,6 +21,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.train import TrainConfig, load_denoiser, train
 from jaxisp.train.checkpoints import Checkpoints, fingerprint
+from jaxisp.train.folder import begin
 from jaxisp.train.logs import read_rows
 from jaxisp.train.step import LOSSES
 from tests.conftest import smooth_image
@@ -29,6 +31,8 @@ SMALL = {
     "batch": 2, "patch": 12, "downsample": 1, "validation": 2, "warmup": 1, "log_every": 1,
     "checkpoint_every": 3,
 }  # fmt: skip
+
+SLURM_PORTS = 65536 - 4096
 
 
 @pytest.fixture(scope="module")
@@ -183,33 +187,39 @@ def test_a_kill_within_a_checkpoint_loses_no_good_one(config, whole, stopped, tm
 
 
 def test_two_processes_give_the_curve_of_one(config, whole, tmp_path):
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        port = s.getsockname()[1]
-    config.save(tmp_path / "config.toml")
-    code = """
-import sys, jax
-jax.config.update("jax_num_cpu_devices", 1)
-jax.distributed.initialize(sys.argv[1], 2, int(sys.argv[2]))
-from jaxisp.train import TrainConfig, train
-result = train(TrainConfig.load(sys.argv[3]), sys.argv[4])
-assert result.devices.startswith("2 x "), result.devices
-"""
-    environment = {**os.environ, "XLA_FLAGS": ""}
-    places = (tmp_path / "config.toml", tmp_path / "run")
+    """One is told where to meet, the other finds it in what Slurm sets."""
+    run, port = tmp_path / "run", slurm_port()
+    run.mkdir()
+    begin(run, config, RECIPES["awgn"](), resume=False)
+    command = [sys.executable, "-m", "jaxisp", "train", "-o", run, "--resume", "--cpu-devices", "1"]
+    told = ["--coordinator", f"localhost:{port}", "--processes", "2", "--process-id", "0"]
+    slurm = {
+        "SLURM_JOB_ID": str(port - SLURM_PORTS), "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2",
+        "SLURM_PROCID": "1", "SLURM_LOCALID": "0", "SLURM_STEP_NUM_NODES": "2",
+    }  # fmt: skip
     processes = [
         subprocess.Popen(
-            [sys.executable, "-c", code, f"127.0.0.1:{port}", str(i), *places],
-            env=environment, stderr=subprocess.PIPE, text=True,
+            [*command, *flags], env={**os.environ, "XLA_FLAGS": "", **more},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
-        for i in range(2)
+        for flags, more in ((told, {}), (["--coordinator", "auto"], slurm))
     ]  # fmt: skip
-    errors = [p.communicate(timeout=120)[1] for p in processes]
-    assert [p.returncode for p in processes] == [0, 0], errors
-    got, wanted = (np.array(curve(r), float) for r in (tmp_path / "run", whole.run))
+    outputs = [p.communicate(timeout=180) for p in processes]
+    assert [p.returncode for p in processes] == [0, 0], outputs
+    assert all("on 2 x " in out for out, _ in outputs)
+    got, wanted = (np.array(curve(r), float) for r in (run, whole.run))
     np.testing.assert_allclose(got[:, 1], wanted[:, 1], rtol=2e-5)
-    with (tmp_path / "run" / "validation.csv").open() as file:
+    with (run / "validation.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2
+
+
+def slurm_port():
+    """A free port among those that JAX picks from by Slurm's number of the job."""
+    for port in np.random.default_rng(os.getpid()).integers(SLURM_PORTS, 65536, 50):
+        with socket.socket() as s, contextlib.suppress(OSError):
+            s.bind(("localhost", int(port)))
+            return int(port)
+    raise AssertionError("no free port")
 
 
 def test_a_run_denoises(config, whole, rng):

@@ -1,0 +1,93 @@
+"""The denoiser experiments: what is computed once stays, tables are added to those that are there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.denoisers import ablations, demosaicking, noise_models, raw_input, report, sanity, study
+from experiments.denoisers.classical import METHODS, denoiser
+from experiments.denoisers.pairs import as_pair, in_camera_tone
+from experiments.denoisers.training import FITTED, SCALES, Place, configuration
+from jaxisp.recipes import RECIPES
+from jaxisp.train import evaluate_pairs
+from tests.conftest import smooth_image
+
+
+@pytest.fixture
+def place(tmp_path):
+    return Place(tmp_path, tmp_path / "work", (str(tmp_path),))
+
+
+@pytest.fixture
+def pairs(rng):
+    clean = smooth_image((40, 44, 3), 1, 0.2, 0.8)
+    noise = 0.05 * rng.standard_normal((2, *clean.shape), np.float32)
+    return [as_pair(name, np.clip(clean + n, 0, 1), clean) for name, n in zip("ab", noise)]
+
+
+@pytest.mark.parametrize("module", [ablations, demosaicking, noise_models, raw_input, sanity])
+def test_tables_are_of_recipes_that_there_are(module):
+    assert module.TABLE.name == module.__name__.rpartition(".")[2]
+    assert set(module.TABLE.recipes) <= {*RECIPES, FITTED}
+
+
+def test_runs_of_a_scale_differ_in_the_recipe_alone(place):
+    for scale in SCALES:
+        a, b = (vars(configuration(place, scale, name, 3)) for name in ("awgn", "phone"))
+        assert {k for k in a if a[k] != b[k]} == {"recipe"}
+
+
+def test_figures_are_computed_once_and_tables_stand_side_by_side(place, pairs, monkeypatch, tmp_path):
+    calls = []
+
+    def trained(place, scale, recipe, seed, **changes):
+        def denoise(image):
+            calls.append(recipe)
+            return np.clip(image + 0.01 * (seed + 1), 0, 1)
+
+        return f"{recipe}-{seed}", denoise
+
+    monkeypatch.setattr(study, "evaluation_set", lambda place, name: pairs)
+    monkeypatch.setattr(study, "trained", trained)
+    table = study.Table("ablations", "Ablations", ("awgn", "phone"), ("iphone8",))
+    arguments = (place, "cpu", table.recipes, (0, 1), {})
+    rows = study.measure(table, *arguments)
+    assert len(calls) == 8 and study.measure(table, *arguments) == rows and len(calls) == 8
+    assert [(r["denoiser"], r["seed"]) for r in rows] == [
+        ("awgn", 0),
+        ("phone", 0),
+        ("awgn", 1),
+        ("phone", 1),
+    ]
+    assert rows[0]["mean"]["change"] == pytest.approx(40, abs=0.01)  # 0.01 is 40 dB down
+    assert rows[2]["mean"]["change"] == pytest.approx(40 - 20 * np.log10(2), abs=0.01)
+
+    result = {
+        "title": "T", "command": "c", "scale": "cpu", "settings": {"steps": 7}, "rows": rows,
+        "machine": {"processor": "p", "cores": 2},
+    }  # fmt: skip
+    for name in ("one", "two"):
+        for some in (rows[:2], rows[2:]):  # a seed at a time
+            study.save(tmp_path / "out", name, {**result, "title": name, "rows": some})
+    assert set(json.loads((tmp_path / "out" / "denoisers.json").read_text())) == {"one", "two"}
+    page = (tmp_path / "out" / "denoisers.md").read_text()
+    psnr = [r["mean"]["psnr"] for r in rows if r["denoiser"] == "awgn"]
+    assert f"| {np.mean(psnr):.2f} +- {np.std(psnr, ddof=1):.2f} |" in page
+    assert "## one" in page and "## two" in page and "steps 7" in page
+    assert page == report.document(json.loads((tmp_path / "out" / "denoisers.json").read_text()))
+
+
+def test_the_ceiling_has_the_tone_of_the_noisy_picture(rng):
+    clean = smooth_image((40, 44, 3), 1, 0.2, 0.8)
+    noisy = clean**0.7 + 0.03 * rng.standard_normal(clean.shape)
+    pair = as_pair("a", np.float32(noisy), clean)
+    np.testing.assert_allclose(in_camera_tone(pair), clean**0.7, atol=0.03)
+    mean = study.ceiling([pair])["mean"]
+    assert mean["psnr"] > mean["psnr_in"] + 3
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_classical_denoisers_take_white_noise_off(name, pairs):
+    mean = evaluate_pairs(denoiser(name, 1.0), pairs)["mean"]
+    assert mean["psnr"] > mean["psnr_in"] + 2
