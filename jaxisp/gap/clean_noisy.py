@@ -1,55 +1,53 @@
-"""Clean+noisy pairs: the base that is fitted, and the problem whose errors are differences of statistics."""
+"""Clean+noisy pairs: the problem whose errors are differences of statistics, and its base."""
 
 import dataclasses
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.fit.align import estimate, same_scene
 from jaxisp.gap import prepare
-from jaxisp.gap.effects import CLEAN_NOISY, Move
-from jaxisp.gap.model import Coordinate, Model, build, plain_freedom
-from jaxisp.gap.residual import BORDER, Pairs, Problem, start_matrix, to_steps
-from jaxisp.gap.solve import fit
-from jaxisp.gap.statistics import features, normalised_regressors, tolerances
-from jaxisp.gap.which import Split, Tick
+from jaxisp.gap.effects import CLEAN_NOISY
+from jaxisp.gap.model import Choice, Model
+from jaxisp.gap.noisy_base import fit_mean, fit_noise
+from jaxisp.gap.noisy_mean import normalised_regressors
+from jaxisp.gap.noisy_units import axis_of, repeats, tolerances, weights
+from jaxisp.gap.residual import BORDER, Pairs, to_steps
+from jaxisp.gap.statistics import feature_names, features, frames_of
+from jaxisp.gap.which import Part, Split, Tick
 from jaxisp.io.datasets import Loaded
-from jaxisp.io.jpeg import Jpeg
-from jaxisp.pipeline import Chain, Params, Stage, stage
-from jaxisp.stages.balance import ColorMatrix
-from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
-from jaxisp.stages.jpeg import JpegTables
 
 _REPLICATES = 4
-_TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
-"""What a phone's colour matrix has beside the identity; its rows keep white."""
-_NOISE = (
-    Coordinate("balanced_noise", Move("shot", 4e-4, 0, 0.1)),
-    Coordinate("balanced_noise", Move("read", 3e-3, 0, 0.2)),
-    Coordinate("balanced_noise", Move("red_gain", 0.3, 0.2, 8)),
-    Coordinate("balanced_noise", Move("blue_gain", 0.3, 0.2, 8)),
-)
 
 
 class StatisticsProblem:
     """Statistics of the real pictures against those of simulated ones; has what `Problem` has.
 
-    The noise of a simulated picture is drawn from one key a pair, whatever the parameters, so that a change
-    of statistics is the parameters' doing.
+    Differences are averaged over the pairs of a half before they are squared: what a camera does is alike in
+    all of its pictures, and chance is not. The noise of a simulated picture is drawn from one key a pair,
+    whatever the parameters, so that a change of statistics is the parameters' doing.
     """
 
-    def __init__(self, model: Model, pairs: Pairs, noise_free: np.ndarray, seed: int) -> None:
-        self.model, self.pairs, self.seed = model, pairs, seed
+    choices: Sequence[Choice] = ()
+    references: Mapping[int, float] = MappingProxyType({})
+
+    def __init__(self, model: Model, pairs: Pairs, noise_free: np.ndarray, split: Split, seed: int) -> None:
+        self.model, self.pairs, self.split, self.seed = model, pairs, split, seed
         self.inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.mask = jnp.asarray(pairs.mask[self.inner], jnp.float32)
         self.base_picture = jnp.asarray(noise_free[self.inner])
         self.target = to_steps(pairs.pictures[self.inner])
         self.weight = np.sqrt(np.broadcast_to(np.asarray(self.mask)[..., None], self.target.shape))
+        self._frames = frames_of([_scene(name) for name in pairs.names])
         self._maps = tuple(normalised_regressors(self.base_picture, self.mask, c) for c in range(3))
         self.real = self.measured(self.target)
-        self.unit = tolerances()
+        self.floors = np.ones(len(pairs.names))
+        self._set_scale(np.ones_like(self.real))  # until it is measured, chance is alike for all
         self.move_to(np.zeros(len(model.coordinates)))
 
     def keys(self, replicate: int = 0) -> jax.Array:
@@ -69,29 +67,54 @@ class StatisticsProblem:
 
     def measured(self, pictures: np.ndarray) -> np.ndarray:
         """(N, F) statistics of pictures in steps, their border cut off."""
-        found = features(jnp.asarray(pictures), self.base_picture, self.mask, self._maps)
+        found = features(jnp.asarray(pictures), self.base_picture, self.mask, self._maps, self._frames)
         return np.asarray(found, float)
 
-    def set_unit(self) -> np.ndarray:
-        """Take the scatter from draw to draw into the unit of each statistic; returns the (N,) floor."""
+    def set_unit(self) -> None:
+        """Take the scatter from draw to draw into the unit of each statistic, and into the floor, which is
+        what is harmless and chance together."""
         draws = np.stack([self.simulated(self.z, k) for k in range(1, 1 + _REPLICATES)])
-        scatter = draws.std(0, ddof=1)
-        self.unit = np.sqrt(tolerances() ** 2 + 2 * (scatter**2).mean(0))
+        self._set_scale(draws.var(0, ddof=1))
         self.move_to(self.z)
-        differences = (draws - self.simulated(self.z)) / self.unit
-        return (differences**2).mean((0, 2))
+        chance = np.stack([self._mean(self._scale * (d - self._simulated)) ** 2 for d in draws]).mean(0)
+        self.floors = (chance + self._harmless).mean(1)
+
+    def _set_scale(self, chance: np.ndarray) -> None:
+        """(N, F) what differences are multiplied by, so that their mean over a half is in units.
+
+        A statistic that a picture has no pixels for does not vary, and does not count there.
+        """
+        counted = (chance > 1e-12) + 1e-9
+        shares = counted / self._mean(counted)
+        sizes = np.array([len(self._half(i)) for i in range(len(chance))])[:, None]
+        scatter = repeats() * self._mean(shares**2 * chance) / sizes
+        unit = np.sqrt(tolerances() ** 2 + 2 * scatter)
+        self._scale = shares / unit * np.sqrt(weights())
+        self._harmless = weights() * (tolerances() / unit) ** 2
+
+    def _half(self, pair: int) -> list[int]:
+        return list(self.split.fit if pair in self.split.fit else self.split.held_out)
+
+    def _mean(self, values: np.ndarray) -> np.ndarray:
+        """(N, ...) each pair gets the mean of its half."""
+        found = np.empty_like(values, float)
+        for half in (self.split.fit, self.split.held_out):
+            found[list(half)] = values[list(half)].mean(0)
+        return found
 
     def units(self, z: np.ndarray) -> np.ndarray:
-        """(N, F) squared differences, whose mean over F is a pair's error."""
-        return ((self.real - self.simulated(z)) / self.unit) ** 2
+        """(N, 1) each pair's part in the error of its half: an interval is drawn over pairs."""
+        return self.errors(z)[:, None]
 
     def errors(self, z: np.ndarray) -> np.ndarray:
-        return self.units(z).mean(1)
+        """(N,) each pair's part in the square of its half's mean difference, the mean of these parts."""
+        own = self._scale * (self.real - self.simulated(z))
+        return (own * self._mean(own)).mean(1)
 
     def move_to(self, z: np.ndarray) -> None:
         self.z = np.asarray(z, float)
         self._simulated = self.simulated(self.z)
-        self.difference = (self.real - self._simulated) / self.unit
+        self.difference = self._mean(self._scale * (self.real - self._simulated))
         self.columns: dict[int, np.ndarray] = {}
 
     @property
@@ -102,10 +125,18 @@ class StatisticsProblem:
     def current(self) -> np.ndarray:
         return np.asarray(self.base_picture)
 
-    def compute(self, which: Sequence[int]) -> None:
+    def take(self, which: Sequence[int]) -> Part:
+        """Some of the pairs; what repeats in all of them is still looked for in all."""
+        return Part(self, which)
+
+    def choose(self, choice: Choice) -> None:
+        self.model = self.model.chosen(choice)
+        self.move_to(self.z)
+
+    def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         for i in set(which) - set(self.columns):
-            moved, step = self.model.probe(self.z, i)
-            self.columns[i] = (self.simulated(moved) - self._simulated) / self.unit / step
+            moved, step = self.model.probe(self.z, i, (steps or {}).get(i))
+            self.columns[i] = self._mean(self._scale * (self.simulated(moved) - self._simulated)) / step
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         stacked = np.stack([self.columns[i] for i in which], 1)
@@ -114,94 +145,117 @@ class StatisticsProblem:
             "nkf,nf->nk", stacked, self.difference
         ) / count
 
+    def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
+        """The axes by their share of what the gap at the point has above what is harmless and chance."""
+        names = feature_names()
+        axes = np.array([axis_of(name) for name in names])
+        mean = self.difference[list(held)].mean(0)
+        excess = mean**2 - weights()
+        above = {str(axis): max(float(excess[axes == axis].sum()), 0.0) for axis in axes}
+        mean = mean / np.sqrt(weights())
+        found = [
+            {
+                "axis": axis,
+                "share": own / (sum(above.values()) + 1e-9),
+                "p_value": _p_value(float((mean[axes == axis] ** 2).mean())),
+                "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
+                "profile": [float(v) for v in mean[axes == axis]],
+                "unit": "what is harmless or chance",
+            }
+            for axis, own in above.items()
+        ]
+        return sorted(found, key=lambda f: -float(str(f["share"])))
+
+
+def _short(name: str) -> str:
+    """A statistic's name without its axis."""
+    kind, _, what = name.split(" ", 2)
+    return f"{kind} {what}"
+
+
+def _p_value(mean_square: float) -> float:
+    """Of a mean square of differences in units of what is harmless, taken for four independent ones."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(4 * mean_square, 4))
+
 
 def clean_problem(
     loaded: Sequence[Loaded], exclude: Sequence[str], seed: int, tick: Tick
 ) -> tuple[StatisticsProblem, Split, dict[str, float], list[str], np.ndarray]:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics."""
-    from jaxisp.gap.diagnose import halves
-
     pairs = _pairs(loaded)
-    split = halves(len(loaded))
+    split = _split(pairs.names)
     effects = prepare.candidates(CLEAN_NOISY, exclude)
     tick(0, 3, "fitting the base")
-    chain, params = _plain(loaded[0].jpeg)
-    matrix = start_matrix(np.asarray(pairs.light), pairs.pictures, pairs.mask)
-    params["color_matrix"] = ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))
-    free = plain_freedom()
-    mean_model = build(chain.without("balanced_noise", chain.nodes[-1].name), params, {}, free, [])
-    still = Problem(mean_model, pairs)
-    fit(still, mean_model.base_indices, split.fit, steps=6)
-    still.weigh(still.robust_weights())
-    fit(still, mean_model.base_indices, split.fit, steps=2)
-    noise_free = to_steps(mean_model.render(still.z, pairs.light))
-    shared = params | mean_model.moved(still.z).shared
-    model = build(chain, shared, {}, (*_NOISE, *free), effects, keep_file=True)
-    problem = StatisticsProblem(model, pairs, noise_free, seed)
+    file = loaded[0].jpeg
+    described = loaded[0].settings.raw
+    camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
+    pairs, noise_free = mean.pairs, to_steps(mean.rendered(mean.z))
+    model = camera.whole_model(mean.model.moved(mean.z), effects)
+    problem = StatisticsProblem(model, pairs, noise_free, split, seed)
     tick(0, 3, "fitting the noise")
-    problem.model = fit_noise(problem, split)
-    problem.move_to(np.zeros(len(problem.z)))
-    floors = problem.set_unit()
+    fit_noise(problem, split.fit)
+    problem.set_unit()
     absorbed = dict.fromkeys(
         ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level"), 0.0
     )
-    stated = {"jpeg_quantization"} if loaded[0].jpeg is not None else set()
-    if loaded[0].jpeg is not None and loaded[0].jpeg.subsampling != "4:4:4":
+    stated = {"jpeg_quantization"} if file is not None else set()
+    if file is not None and file.subsampling != "4:4:4":
         stated.add("chroma_subsampling")
     offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
-    return problem, split, absorbed, offered, floors
+    return problem, split, absorbed, offered, problem.floors
 
 
-def fit_noise(problem: StatisticsProblem, split: Split) -> Model:
-    """The demosaicker, the sensor's own primaries and the noise that explain the statistics best, one after
-    another, and then all that is free in the base."""
-    noise = list(range(len(_NOISE)))
-
-    def tried(change: Params, steps: int) -> tuple[float, Model]:
-        start = problem.model
-        problem.model = dataclasses.replace(start, shared=start.shared | change)
-        problem.move_to(np.zeros(len(problem.z)))
-        error = fit(problem, noise, split.fit, steps=steps)
-        result = error, problem.model.moved(problem.z)
-        problem.model = start
-        return result
-
-    own = np.asarray(problem.model.shared["color_matrix"].matrix)
-    problem.model = tried(_primaries(own, 0.6), 4)[1]
-    for choices in (
-        [{"demosaicking": Demosaicking(shares=row)} for row in np.eye(len(DEMOSAICKERS), dtype=np.float32)],
-        [_primaries(own, share) for share in (0.0, 0.3, 0.6, 1.0, 1.4)],
-    ):
-        problem.model = min((tried(change, 2) for change in choices), key=lambda f: f[0])[1]
-    problem.move_to(np.zeros(len(problem.z)))
-    problem.set_unit()
-    fit(problem, problem.model.base_indices, split.fit, steps=4)
-    return problem.model.moved(problem.z)
+def _split(names: Sequence[str]) -> Split:
+    """Every other scene is fitted, with all of its frames."""
+    scenes = [_scene(name) for name in names]
+    order = list(dict.fromkeys(scenes))
+    if len(order) == 1:
+        order, scenes = list(names), list(names)
+    fitted = set(order[::2])
+    which = [[i for i, s in enumerate(scenes) if (s in fitted) == first] for first in (True, False)]
+    return Split(tuple(which[0]), tuple(which[1]))
 
 
-def _primaries(matrix: np.ndarray, share: float) -> Params:
-    """The scene seen in a sensor's primaries, and the matrix that undoes that and then does its own.
-
-    Which matrix a camera uses cannot be told from its picture, but how it mixes the noise of the colours can.
-    """
-    mixing = np.eye(3) + share * _TYPICAL
-    before, after = np.linalg.inv(mixing), matrix @ mixing
-    return {
-        "primaries": ColorMatrix(matrix=np.asarray(np.clip(before, -4, 4), np.float32)),
-        "color_matrix": ColorMatrix(matrix=np.asarray(np.clip(after, -4, 4), np.float32)),
-    }
+def _scene(name: str) -> str:
+    """The stem without the number of a repeated frame."""
+    return re.sub(r"\.f\d{2,}$", "", name)
 
 
 def _pairs(loaded: Sequence[Loaded]) -> Pairs:
-    loaded = list({p.name: p for p in loaded}.values())
+    loaded = [_framed(p) for p in {p.name: p for p in loaded}.values()]
     crops = prepare.common_crop(loaded)
     clean = np.stack([_linear(p)[c] for p, c in zip(loaded, crops)])
     pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
-    pictures = np.stack([prepare.laid_on(s, p) for s, p in zip(clean, pictures)])
+    clean = np.stack([_laid_under(s, p) for s, p in zip(clean, pictures)])
     names = tuple(p.name for p in loaded)
     return prepare.in_halves(
         Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(pictures))
     )
+
+
+def _framed(pair: Loaded) -> Loaded:
+    """The clean picture cut, or continued, by a few pixels to the size of the noisy one, about its middle."""
+    clean, wanted = np.asarray(pair.clean), pair.picture.shape
+    if any(abs(a - b) > 2 * BORDER for a, b in zip(clean.shape[:2], wanted[:2])):
+        return pair  # too far apart for that: left for the check of sizes to refuse
+    for axis in (0, 1):
+        missing = wanted[axis] - clean.shape[axis]
+        if missing > 0:
+            width = [(missing // 2, missing - missing // 2) if a == axis else (0, 0) for a in range(3)]
+            clean = np.pad(clean, width, mode="edge")
+        start = -missing // 2 if missing < 0 else 0
+        clean = np.take(clean, range(start, start + wanted[axis]), axis)
+    return dataclasses.replace(pair, clean=clean)
+
+
+def _laid_under(scene: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """The scene moved by whole pixels to where the picture has its details: the picture keeps its place on
+    the grids of its colour filter array and of its file."""
+    found = estimate(picture, np.sqrt(np.clip(scene.mean(-1), 0, None)))
+    move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in (found.dy, found.dx)]
+    return np.roll(scene, move, (0, 1)) if same_scene(found, scene.shape[:2]) else scene
 
 
 def _linear(pair: Loaded) -> np.ndarray:
@@ -209,28 +263,3 @@ def _linear(pair: Loaded) -> np.ndarray:
     if pair.settings.clean_encoding == "linear":
         return clean
     return np.where(clean <= 0.04045, clean / 12.92, ((clean + 0.055) / 1.055) ** 2.4)
-
-
-def _plain(file: Jpeg | None, cfa: str = "RGGB") -> tuple[Chain, Params]:
-    """Scene to picture: mosaic, noise, demosaicking, one matrix, sRGB, one curve, the file's compression."""
-    nodes: list[Any] = [
-        Stage(stage("color_matrix").fn, "primaries"),
-        stage("mosaic", cfa=cfa),
-        Stage(stage("black_level").fn, "black_level_offset"),
-        stage("balanced_noise", cfa=cfa),
-        stage("demosaicking", cfa=cfa),
-        stage("color_matrix"),
-        stage("srgb_oetf"),
-        Stage(stage("spline_curve").fn, "tone_curve"),
-        stage("rounding"),
-    ]
-    tables: Params = {}
-    if file is not None and file.subsampling in ("4:4:4", "4:2:2", "4:2:0"):
-        encoder = Stage(
-            stage("jpeg_tables").fn, "file", stage("jpeg_tables", subsampling=file.subsampling).static
-        )
-        nodes[-1] = encoder
-        luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
-        tables = {"file": JpegTables(luma_table=luma, chroma_table=chroma)}
-    chain = Chain(tuple(nodes), "plain")
-    return chain, chain.init() | tables

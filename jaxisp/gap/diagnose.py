@@ -11,11 +11,13 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.gap import prepare
-from jaxisp.gap.effects import EFFECTS, RAW_JPEG
-from jaxisp.gap.model import Model
-from jaxisp.gap.residual import Problem, floor_errors
+from jaxisp.gap.effects import RAW_JPEG
+from jaxisp.gap.frame import in_one_frame
+from jaxisp.gap.grain import grain_trial, with_grain
+from jaxisp.gap.residual import Problem, floor_difference, floor_errors
+from jaxisp.gap.rows import base_row, cause_row, ranking_rows
 from jaxisp.gap.where import where
-from jaxisp.gap.which import Split, Tick, Trial, search
+from jaxisp.gap.which import Split, Tick, interval, search
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
@@ -76,65 +78,101 @@ def diagnose(
         InputError: no such folder, no usable pair, an unknown effect.
     """
     clock = time.perf_counter()
-    found = open_dataset(dataset)
     if recipe is not None:
         warnings.warn("diagnose: a recipe is not taken as the base yet; a plain one is fitted", stacklevel=2)
-    problem: Any
-    loaded, failed = _load(found.pairs)
-    if len(loaded) == 1:
-        loaded = 2 * loaded  # its tiles are told apart by masks
-    if found.kind == RAW_JPEG:
-        problem, split, absorbed, offered = _raw_problem(loaded, camera, exclude, tick)
-        floors = floor_errors(problem, [p.jpeg for p in loaded])
-    else:
-        from jaxisp.gap.clean_noisy import clean_problem
-
-        problem, split, absorbed, offered, floors = clean_problem(loaded, exclude, seed, tick)
-    held = list(split.held_out)
+    case, failed = _case(dataset, camera, exclude, seed, tick)
+    problem, held = case.problem, list(case.split.held_out)
     before = float(np.nanmean(problem.units(problem.z)[held]))
-    floor = float(min(floors[held].mean(), before))
+    floor = float(min(case.floors[held].mean(), before))
     scale = max(before - floor, 0.02 * floor, 1e-6)
-    start = problem.z.copy()
     located = _where(problem, held)
-    causes, trials, promises = search(
-        problem, offered, split, scale, NULL_DROP[found.kind] * floor / scale, MOST_CAUSES, tick
-    )
-    if before < floor * (1 + NULL_DROP[found.kind]):  # smoothing alone can come nearer than the floor
-        causes = []
+    pictures = _pictures(problem, held[0], "before")
+    least = max(NULL_DROP[case.kind] * floor / scale, LEAST_CLOSED[case.kind])
+    start, model = problem.z.copy(), problem.model
+    causes, trials, promises = search(problem, case.offered, case.split, scale, least, MOST_CAUSES, tick)
+    if case.stored is not None:
+        grain = grain_trial(problem, case.stored, case.split, scale, least)
+        causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
+        promises["film_grain"] = grain.before - grain.after
+    if before < floor * (1 + NULL_DROP[case.kind]):  # smoothing alone can come nearer than the floor
+        causes, problem.model = [], model
         problem.move_to(start)
-    gap_is_there = bool(causes) or before > floor * (1 + NULL_EXCESS[found.kind])
-    end = problem.z
+    gap_is_there = bool(causes) or before > floor * (1 + NULL_EXCESS[case.kind])
     after = causes[-1][0].after if causes else before
     report = {
         "schema": 1,
-        "kind": found.kind,
-        "base": _base(problem.model, absorbed),
+        "kind": case.kind,
+        "base": base_row(model, case.absorbed),
         "pairs": {
-            "fit": [problem.pairs.names[i] for i in split.fit],
-            "held_out": [problem.pairs.names[i] for i in split.held_out],
+            "fit": [problem.pairs.names[i] for i in case.split.fit],
+            "held_out": [problem.pairs.names[i] for i in case.split.held_out],
             "failed": [{"file": name, "reason": reason} for name, reason in failed],
         },
         "gap": {
-            "metric": METRIC[found.kind], "before": before, "after": after, "floor": floor,
-            "ci": _interval(problem, end, held),
+            "metric": METRIC[case.kind], "before": before, "after": after, "floor": floor,
+            "ci": _interval(problem, problem.z, held),
         },
         "verdict": "effect" if causes else "unknown" if gap_is_there else "none",
-        "causes": [_cause(t, alike, scale, len(offered), problem.model) for t, alike in causes],
-        "ranking": _ranking(causes, trials, promises, absorbed, scale),
+        "causes": [cause_row(t, alike, scale, len(case.offered), problem.model) for t, alike in causes],
+        "ranking": ranking_rows(causes, trials, promises, case.absorbed, scale),
         "where": located if gap_is_there else [],
         "unexplained": _unexplained(problem, held, after, before, floor, scale),
         "seconds": 0.0,
     }  # fmt: skip
-    pictures = _pictures(problem, start, end, held, bool(causes))
+    pictures |= _pictures(problem, held[0], "after") if causes else {"after": None, "residual_after": None}
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
 
 
-NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 15.0}
+@dataclasses.dataclass(frozen=True)
+class _Case:
+    """What is diagnosed: the problem at its base, who is held out, and what may be its cause.
+
+    `stored` is what the file does to the pictures, where grain is to be told from it.
+    """
+
+    kind: str
+    problem: Any
+    split: Split
+    floors: np.ndarray
+    absorbed: dict[str, float]
+    offered: list[str]
+    stored: np.ndarray | None
+
+
+def _case(
+    dataset: str | Path, camera: Recipe | None, exclude: Sequence[str], seed: int, tick: Tick
+) -> tuple[_Case, list[tuple[str, str]]]:
+    """The pairs read and the base put before them; and (file, reason) of what could not be used."""
+    found = open_dataset(dataset)
+    loaded, failed = _load(found.pairs)
+    problem: Any
+    if found.kind == RAW_JPEG:
+        loaded, unlike = in_one_frame(loaded)
+        failed += unlike
+    if len(loaded) == 1:
+        loaded = 2 * loaded  # its tiles are told apart by masks
+    if found.kind == RAW_JPEG:
+        problem, split, absorbed, offered = _raw_problem(loaded, camera, exclude, tick)
+        stored = floor_difference(problem, [p.jpeg for p in loaded])
+        floors = floor_errors(problem, stored)
+    else:
+        from jaxisp.gap.clean_noisy import clean_problem
+
+        problem, split, absorbed, offered, floors = clean_problem(loaded, exclude, seed, tick)
+        stored = None
+    if "film_grain" in exclude:
+        stored = None
+    return _Case(found.kind, problem, split, floors, absorbed, offered, stored), failed
+
+
+NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
 and its order of steps are not quite the base's. Set on a few development cameras, see docs/diagnosis.md."""
-NULL_DROP = {RAW_JPEG: 0.03, "clean+noisy": 0.3}
+NULL_DROP = {RAW_JPEG: 0.03, "clean+noisy": 0.12}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
+LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
+"""What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
 
 
 def diagnose_folder(folder: str | Path, **options: Any) -> dict[str, Any]:
@@ -168,13 +206,17 @@ def _raw_problem(
     tick(0, MOST_CAUSES, "fitting the base")
     absorbed: dict[str, float]
     if camera is None:
-        model, absorbed = prepare.raw_model(loaded, pairs, effects, split.fit)
+        model, absorbed, choices = prepare.raw_model(loaded, pairs, effects, split.fit)
     else:
         model = prepare.camera_model(camera, loaded, effects)
-        absorbed = {}
-    problem = Problem(model, pairs)
+        absorbed, choices = {}, []
+    problem = Problem(model, pairs, choices)
     problem.weigh(problem.robust_weights())
-    stated = set() if loaded[0].jpeg is None else {"jpeg_quantization"}
+    if loaded[0].jpeg is not None and "double_compression" in model.effects:
+        quality = float(loaded[0].jpeg.quality)
+        problem.references = dict.fromkeys(model.indices(["double_compression"]), quality)
+    # a file that is no JPEG was compressed once, if at all; a JPEG's header states how it was last
+    stated = {"double_compression" if loaded[0].jpeg is None else "jpeg_quantization"}
     if loaded[0].jpeg is not None and loaded[0].jpeg.subsampling != "4:4:4":
         stated.add("chroma_subsampling")
     offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
@@ -182,6 +224,8 @@ def _raw_problem(
 
 
 def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
+    if hasattr(problem, "located"):  # statistics know their axes
+        return list(problem.located(held))
     rng = np.random.default_rng(0)
     scale = np.maximum(problem.weight[..., :1], 1e-6)
     residual = problem.residual / scale
@@ -189,83 +233,7 @@ def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _interval(problem: Any, z: np.ndarray, held: Sequence[int]) -> list[float]:
-    from jaxisp.gap.which import interval
-
     return list(interval(problem.units(z)[list(held)], 1.0))
-
-
-def _base(model: Model, absorbed: dict[str, float]) -> dict[str, Any]:
-    names = {c.node for c in model.base} | {"demosaicking"}
-    fitted = {
-        name: {f.name: np.asarray(getattr(model.shared[name], f.name)).tolist()
-               for f in dataclasses.fields(model.shared[name])}
-        for name in sorted(names) if name in model.shared
-    }  # fmt: skip
-    stages = [n.name for n in model.chain.nodes if not n.name.startswith("use_")]
-    return {"stages": stages, "fitted": fitted, "absorbed": absorbed}
-
-
-def _cause(trial: Trial, alike: list[str], scale: float, tried: int, model: Model) -> dict[str, Any]:
-    effect = EFFECTS[trial.effect]
-    indices = model.indices([trial.effect])
-    params: dict[str, Any] = {}
-    for i, move in zip(indices, effect.moves):
-        key = move.field + "".join(f"[{n}]" for n in move.index)
-        params[key] = round(float(move.off + trial.z[i]), 5)
-    spread = max((trial.high - trial.low) / 3.29, 1e-6)
-    return {
-        "effect": trial.effect,
-        "site": effect.site,
-        "gap_before": trial.before,
-        "gap_after": trial.after,
-        "closed": trial.closed,
-        "ci": [trial.low, trial.high],
-        "alternatives": alike,
-        "next_measurement": NEXT.get(trial.effect, "more pairs, of scenes that differ") if alike else None,
-        "p_value": _p_value(trial.closed / spread, tried),
-        "params": params,
-    }
-
-
-NEXT = {
-    "vignetting": "a flat field: a white wall, out of focus",
-    "color_shading": "a flat field under one light",
-    "chroma_denoising": "saturated fine texture, and the file's own sampling factors",
-    "luma_denoising": "low-contrast texture (dead leaves) at a low and a high ISO",
-    "optical_blur": "a slanted edge, with the noise spectrum of a flat patch beside it",
-    "sharpening": "a slanted edge at several contrasts",
-    "local_tone_mapping": "a grey patch on a dark and on a bright surround",
-    "veiling_glare": "a black patch with and without a lamp at the border of the frame",
-    "noise_level": "repeated frames of one still scene",
-    "prnu": "repeated frames of a flat field",
-    "hot_pixels": "repeated dark frames",
-    "heavy_tailed_noise": "repeated dark frames",
-}
-
-
-def _p_value(z: float, tried: int) -> float:
-    """One-sided, times the number of effects tried (Bonferroni)."""
-    from math import erfc, sqrt
-
-    return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
-
-
-def _ranking(
-    causes: Sequence[tuple[Trial, list[str]]],
-    trials: dict[str, Trial],
-    promises: dict[str, float],
-    absorbed: dict[str, float],
-    scale: float,
-) -> list[dict[str, Any]]:
-    accepted = {t.effect: t.closed for t, _ in causes}
-    alike = {name for _, names in causes for name in names}
-    rows = []
-    for name, promise in promises.items():
-        closed = accepted.get(name, trials[name].closed if name in trials else promise / scale)
-        status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
-        rows.append({"effect": name, "closed": float(closed), "status": status})
-    rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
-    return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]
 
 
 def _unexplained(
@@ -278,17 +246,11 @@ def _unexplained(
     return {"share": share, "axes": axes, "description": text + (f", on {', '.join(axes)}" if axes else "")}
 
 
-def _pictures(
-    problem: Any, start: np.ndarray, end: np.ndarray, held: Sequence[int], changed: bool
-) -> dict[str, Any]:
-    i = held[0]
-    pictures = {
+def _pictures(problem: Any, i: int, when: str) -> dict[str, Any]:
+    """One pair as the simulator makes it where the problem stands, and what it lacks."""
+    return {
         "name": problem.pairs.names[i],
         "target": problem.pairs.pictures[i],
-        "before": problem.rendered(start)[i],
-        "after": problem.rendered(end)[i] if changed else None,
+        when: problem.rendered(problem.z)[i],
+        f"residual_{when}": problem.target[i] - problem.picture(problem.z)[i],
     }
-    target = problem.target[i]
-    pictures["residual_before"] = target - problem.picture(start)[i]
-    pictures["residual_after"] = target - problem.picture(end)[i] if changed else None
-    return pictures

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxisp.pipeline import Node, Stage, stage
+from jaxisp.stages.choice import DEMOSAICKERS
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
 BOTH = (RAW_JPEG, CLEAN_NOISY)
@@ -34,6 +35,7 @@ class Move:
         low, high: the range of the change, from `off`.
         index: which entry of the field; () for a number.
         off: its value where the effect is absent; the probe starts there.
+        grid: changes that are tried one by one, where the picture does not follow the parameter smoothly.
     """
 
     field: str
@@ -42,6 +44,7 @@ class Move:
     high: float
     index: tuple[int, ...] = ()
     off: float = 0.0
+    grid: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,9 @@ def register_effect(effect: Effect) -> Effect:
         raise ValueError(f"effect {effect.name}: unknown site {effect.site!r} or axes {sorted(unknown)}")
     EFFECTS[effect.name] = effect
     return effect
+
+
+_QUALITIES = (20.0, 35.0, 50.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0, 94.0)
 
 
 def _entries(field: str, count: int, step: float, low: float, high: float) -> tuple[Move, ...]:
@@ -168,7 +174,7 @@ _add(
 )  # fmt: skip
 _add(
     "highlight_clipping", stage("clip", low=-1.0), "mosaic",
-    [Move("white", -0.15, -0.6, 0, off=1)],
+    [Move("white", -0.15, -0.6, 0, off=1, grid=(-0.05, -0.1, -0.15, -0.2, -0.3, -0.4, -0.5))],
     "intensity", "tone_curve",
 )  # fmt: skip
 _add(
@@ -221,12 +227,12 @@ _add(
 )  # fmt: skip
 _add(
     "demosaicking", stage("demosaicking"), "demosaic",
-    _entries("shares", 5, 1.0, 0, 1),
+    _entries("shares", len(DEMOSAICKERS), 1.0, 0, 1),
     "edge cfa_phase frequency", "crosstalk green_imbalance chroma_denoising lateral_chromatic_aberration",
 )  # fmt: skip
 _add(
     "resampling", stage("resampling"), "encoded",
-    [Move("factor", 0.4, 0, 2, off=1)],
+    [Move("factor", 0.4, 0, 2, off=1, grid=(0.15, 0.3, 0.5, 0.75, 1, 1.5))],
     "frequency edge", "optical_blur luma_denoising",
 )  # fmt: skip
 _add(
@@ -236,12 +242,12 @@ _add(
 )  # fmt: skip
 _add(
     "double_compression", stage("earlier_compression"), "output",
-    [Move("quality", 70.0, 5, 99)],
+    [Move("quality", 70.0, 5, 99, grid=_QUALITIES)],
     "block_phase", "jpeg_quantization",
 )  # fmt: skip
 _add(
     "jpeg_quantization", stage("jpeg", subsampling="4:4:4"), "output",
-    [Move("quality", 70.0, 5, 99)],
+    [Move("quality", 70.0, 5, 99, grid=_QUALITIES)],
     "block_phase frequency", "double_compression chroma_subsampling",
 )  # fmt: skip
 _add(
@@ -266,7 +272,8 @@ _add(
 )  # fmt: skip
 _add(
     "correlated_noise", stage("correlated_noise"), "mosaic",
-    [Move("std", 0.005, 0, 0.1)],
+    [Move("std", 0.005, 0, 0.1), Move("horizontal", 0.1, -0.4, 0.25, off=0.4),
+     Move("vertical", 0.1, -0.4, 0.25, off=0.4)],
     "lag frequency", "luma_denoising film_grain", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(
@@ -281,7 +288,7 @@ _add(
 )  # fmt: skip
 _add(
     "adc_quantization", stage("adc_quantization"), "mosaic",
-    [Move("bits", -8.0, -12, 0, off=16)],
+    [Move("bits", -8.0, -12, 0, off=16, grid=(-7, -8, -9, -9.5, -10, -10.5, -11, -11.5))],
     "intensity tail", "noise_level", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(

@@ -10,12 +10,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.effects import Effect, Move
+from jaxisp.gap.staged import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import ChromaSubsampling
 
@@ -32,6 +31,23 @@ class Coordinate:
 
 
 @dataclasses.dataclass(frozen=True)
+class Choice:
+    """Parameters of the base that are chosen, not fitted: of its demosaicking, say."""
+
+    shared: Params
+    per_pair: Params
+
+    def take(self, which: Sequence[int]) -> "Choice":
+        """The choice for some of the pairs."""
+        return Choice(self.shared, _of_pairs(self.per_pair, which))
+
+
+def _of_pairs(per_pair: Params, which: Sequence[int]) -> Params:
+    index = np.asarray(which)
+    return jax.tree.map(lambda a: a[index], per_pair)
+
+
+@dataclasses.dataclass(frozen=True)
 class Model:
     """A chain with its effects off, and what may move.
 
@@ -41,6 +57,7 @@ class Model:
         effects: coordinates by effect.
         shared: parameters at z = 0, the same for all pairs.
         per_pair: parameters with a leading axis over the pairs; they hold where both have a node.
+        kept: what was rendered, shared with the models made of this one.
     """
 
     chain: Chain
@@ -48,6 +65,7 @@ class Model:
     effects: dict[str, tuple[Coordinate, ...]]
     shared: Params
     per_pair: Params
+    kept: Kept = dataclasses.field(default_factory=Kept, compare=False, repr=False)
 
     @functools.cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -95,32 +113,33 @@ class Model:
             return c.move.off
         return float(np.asarray(getattr(self.shared[c.node], c.move.field))[c.move.index])
 
-    def probe(self, z: np.ndarray, i: int) -> tuple[np.ndarray, float]:
+    def probe(self, z: np.ndarray, i: int, step: float | None = None) -> tuple[np.ndarray, float]:
         """The point with coordinate i moved by its probe, to the side that its range allows, and the step."""
         low, high = self.ranges
-        step = self.steps[i] if low[i] <= z[i] + self.steps[i] <= high[i] else -self.steps[i]
+        if step is None:
+            step = self.steps[i] if low[i] <= z[i] + self.steps[i] <= high[i] else -self.steps[i]
         moved = z.copy()
         moved[i] += step
         return moved, float(step)
 
     def render(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, H, W, 3) encoded, clipped to [0, 1], of all pairs."""
-        return np.asarray(_render(self.chain, self.per_pair, self.params(z), light, keys))
+        return np.clip(render(self.chain, self.params(z), self.per_pair, light, keys, self.kept), 0, 1)
+
+    def take(self, which: Sequence[int]) -> "Model":
+        """The model of some of the pairs."""
+        return dataclasses.replace(self, per_pair=_of_pairs(self.per_pair, which))
+
+    def chosen(self, choice: "Choice") -> "Model":
+        """The model with a choice in place of its own."""
+        per_pair = self.per_pair | choice.per_pair
+        return dataclasses.replace(self, shared=self.shared | choice.shared, per_pair=per_pair)
 
     def moved(self, z: np.ndarray) -> "Model":
         """The model with z = 0 put where z is for the base's parameters (effects keep theirs)."""
         only_base = np.where(np.arange(len(z)) < len(self.base), z, 0)
         params = self.params(only_base)
         return dataclasses.replace(self, shared={name: params[name] for name in self.shared})
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _render(chain: Chain, per_pair: Params, shared: Params, light: jax.Array, keys: Any) -> jax.Array:
-    def one(pair: Any) -> jax.Array:
-        own, image, key = pair
-        return jnp.clip(chain.apply({**shared, **own}, image, key), 0, 1)
-
-    return lax.map(one, (per_pair, light, keys))
 
 
 def build(

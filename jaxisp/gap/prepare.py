@@ -1,6 +1,5 @@
 """From a data set on disk to pairs of one size, and the base that is put before them."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -9,10 +8,9 @@ import numpy as np
 
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.errors import InputError
-from jaxisp.fit.align import estimate, same_scene
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
-from jaxisp.gap.model import Model, build, plain_camera, plain_freedom
-from jaxisp.gap.residual import BORDER, Pairs, Problem, start_matrix
+from jaxisp.gap.model import Choice, Model, build, plain_camera, plain_freedom
+from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Chain, Stage, run, stage
@@ -54,23 +52,8 @@ def raw_pairs(loaded: Sequence[Loaded]) -> Pairs:
     crops = common_crop(loaded)
     light = np.stack([shaded_mosaic(p.raw)[c] for p, c in zip(loaded, crops) if p.raw is not None])
     pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
-    pictures = np.stack([laid_on(m, p) for m, p in zip(light, pictures)])
     names = tuple(p.name for p in loaded)
     return in_halves(Pairs(names, jnp.asarray(light, jnp.float32), pictures, usable(pictures)))
-
-
-def laid_on(scene: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """The picture moved by whole pixels to where the scene (mosaic, or linear RGB) has its details.
-
-    At most as far as the border that is not counted; what is not a whole pixel stays in the gap.
-    """
-    plane = scene if scene.ndim == 2 else scene.mean(-1)
-    cell = (
-        plane[:-1, :-1] + plane[1:, :-1] + plane[:-1, 1:] + plane[1:, 1:]
-    )  # one of each colour; half a pixel off
-    found = estimate(picture[:-1, :-1], np.sqrt(np.clip(cell, 0, None)))
-    move = [int(np.clip(round(v + 0.5), -BORDER, BORDER)) for v in (float(found.dy), float(found.dx))]
-    return np.roll(picture, move, (0, 1)) if same_scene(found, plane.shape) else picture
 
 
 def in_halves(pairs: Pairs) -> Pairs:
@@ -101,8 +84,8 @@ def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
 
 def raw_model(
     loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
-) -> tuple[Model, dict[str, float]]:
-    """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of five."""
+) -> tuple[Model, dict[str, float], list[Choice]]:
+    """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
     first = loaded[0]
     assert first.raw is not None
     if any(p.raw is None or p.raw.cfa != first.raw.cfa for p in loaded):
@@ -123,38 +106,49 @@ def raw_model(
     return fit_base(model, pairs, fit_on)
 
 
-def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> tuple[Model, dict[str, float]]:
+def fit_base(
+    model: Model, pairs: Pairs, fit_on: Sequence[int]
+) -> tuple[Model, dict[str, float], list[Choice]]:
     """The base fitted, with the demosaicker, before or after white balance, that explains the pairs best.
 
     Returns:
-        the model, and what the base took up of each effect that is part of it, as a share of what was there
-        before it was fitted.
+        the model; what the base took up of each effect that is part of it, as a share of what was there
+        before it was fitted; and the choices there were.
     """
-    problem = Problem(model, pairs)
-    fit_on = list(fit_on)
-    untouched = problem.errors(problem.z)[fit_on].mean()
-    fit(problem, model.base_indices, fit_on, steps=6)
-    problem.weigh(problem.robust_weights(), problem.z)
-    error = problem.errors(problem.z)[fit_on].mean()
+    whole = Problem(model, pairs)
+    part, seen = whole.take(fit_on), range(len(fit_on))
+    untouched = part.errors(part.z).mean()
+    fit(part, model.base_indices, seen, steps=6)
+    part.weigh(part.robust_weights(), part.z)
+    error = part.errors(part.z).mean()
     absorbed = {name: 1 - float(error / untouched) for name in ("tone_curve", "color_matrix")}
     absorbed |= {name: 0.0 for name in ("white_balance", "black_level_offset")}
-    fitted = model.moved(problem.z)
-    choices = []
-    first = fitted.per_pair["mosaic_white_balance"]
-    for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32):
-        for early, late in ((first, _neutral(first)), (_neutral(first), first)):
-            problem.model = dataclasses.replace(
-                fitted,
-                shared=fitted.shared | {"demosaicking": Demosaicking(shares=shares)},
-                per_pair=fitted.per_pair | {"mosaic_white_balance": early, "later_balance": late},
-            )
-            choices.append((problem.errors(np.zeros(len(problem.z)))[fit_on].mean(), problem.model))
-    lowest, best = min(choices, key=lambda c: c[0])
-    absorbed["demosaicking"] = 1 - float(lowest / max(c[0] for c in choices))
-    problem.model = best
-    problem.move_to(np.zeros(len(problem.z)))
-    fit(problem, best.base_indices, fit_on, steps=4)
-    return best.moved(problem.z), absorbed
+    found = choices(model)
+    errors = []
+    fitted = part.model
+    for choice in found:
+        part.model = fitted.chosen(choice.take(fit_on))
+        errors.append(part.errors(part.z).mean())
+    absorbed["demosaicking"] = 1 - float(min(errors) / max(errors))
+    best = found[int(np.argmin(errors))]
+    part.model = fitted
+    part.choose(best.take(fit_on))
+    fit(part, model.base_indices, seen, steps=4)
+    return model.chosen(best).moved(part.z), absorbed, found
+
+
+def choices(model: Model) -> list[Choice]:
+    """Each demosaicker, before and after white balance."""
+    first = model.per_pair["mosaic_white_balance"]
+    orders = [(first, _neutral(first)), (_neutral(first), first)]
+    return [
+        Choice(
+            {"demosaicking": Demosaicking(shares=shares)},
+            {"mosaic_white_balance": early, "later_balance": late},
+        )
+        for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
+        for early, late in orders
+    ]
 
 
 def _neutral(balance: WhiteBalance) -> WhiteBalance:

@@ -4,8 +4,9 @@ Everything is least squares on residuals in Y'CbCr, in 8-bit steps. Columns are 
 pictures: they exist where a derivative does not (medians, choices, roundings).
 """
 
+import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.gap.model import Model
+from jaxisp.gap.model import Choice, Model
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import run, stage
 from jaxisp.stages.jpeg import JpegTables
@@ -54,15 +55,36 @@ class Problem:
         z: the point.
         residual: (N, P) target less picture there, masked pixels 0.
         weight: (N, P) 1 where a pixel counts.
+        choices: what the base may be besides, that no number says.
+        references: the values of coordinates at which an effect does what the file does anyway, so that
+            its gain is counted from there.
     """
 
-    def __init__(self, model: Model, pairs: Pairs) -> None:
-        self.model, self.pairs = model, pairs
+    def __init__(self, model: Model, pairs: Pairs, choices: Sequence[Choice] = ()) -> None:
+        self.model, self.pairs, self.choices = model, pairs, tuple(choices)
+        self.references: dict[int, float] = {}
         inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.inner = inner
         self.target = to_steps(pairs.pictures[inner])
         self.shape = self.target.shape
         self.weigh(np.ones(self.shape[:-1]))
+
+    def take(self, which: Sequence[int]) -> "Problem":
+        """The same problem, at the same point, of some of the pairs."""
+        index = np.asarray(which)
+        part = copy.copy(self)
+        part.model, part.pairs = self.model.take(which), self.pairs.take(which)
+        part.choices = tuple(choice.take(which) for choice in self.choices)
+        for name in ("target", "counts", "weight", "current", "residual"):
+            setattr(part, name, getattr(self, name)[index])
+        part.shape = part.target.shape
+        part.columns = {i: column[index] for i, column in self.columns.items()}
+        return part
+
+    def choose(self, choice: Choice) -> None:
+        """Put a choice into the base, and stay at the same point."""
+        self.model = self.model.chosen(choice)
+        self.move_to(self.z)
 
     def weigh(self, weights: np.ndarray, z: np.ndarray | None = None) -> None:
         """Set how much each pixel (N, h, w) counts, beside the mask, and go to a point: z = 0 if None."""
@@ -91,7 +113,10 @@ class Problem:
 
     def units(self, z: np.ndarray, side: int = 60) -> np.ndarray:
         """(N, U) mean square residual of each tile, scaled so that the mean over tiles is the pair's."""
-        square = (((self.target - self.picture(z)) * self.weight) ** 2).sum(-1)
+        return self.tiled((((self.target - self.picture(z)) * self.weight) ** 2).sum(-1), side)
+
+    def tiled(self, square: np.ndarray, side: int = 60) -> np.ndarray:
+        """(N, U) means over tiles of (N, h, w) weighted squares, scaled likewise."""
         h, w = square.shape[1:]
         rows, columns = max(h // side, 1), max(w // side, 1)
         tiles = [np.array_split(r, columns, 2) for r in np.array_split(square, rows, 1)]
@@ -113,10 +138,15 @@ class Problem:
         self.residual = (self.target - self.current) * self.weight
         self.columns: dict[int, np.ndarray] = {}
 
-    def compute(self, which: Sequence[int]) -> None:
-        """The columns of these coordinates at the point, as changes per unit."""
+    def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
+        """The columns of these coordinates at the point, as changes per unit.
+
+        Args:
+            which: the coordinates.
+            steps: how far some are moved, where it is not the usual probe.
+        """
         for i in set(which) - set(self.columns):
-            moved, step = self.model.probe(self.z, i)
+            moved, step = self.model.probe(self.z, i, (steps or {}).get(i))
             self.columns[i] = (self.picture(moved) - self.current) * (self.weight / np.float32(step))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -147,11 +177,15 @@ def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, bloc
     return np.linalg.lstsq(means(light)[whole], means(linear)[whole], rcond=None)[0].T
 
 
-def floor_errors(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
-    """(N,) the errors that rounding and the file's own compression would leave were the simulator right."""
+def floor_difference(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
+    """(N, h, w, 3) what rounding and the file's own compression do to the simulator's pictures, in steps."""
     whole = problem.model.render(problem.z, problem.pairs.light)
     stored = np.stack([_as_stored(p, f) for p, f in zip(whole, files)])
-    difference = to_steps(stored[problem.inner]) - to_steps(whole[problem.inner])
+    return to_steps(stored[problem.inner]) - to_steps(whole[problem.inner])
+
+
+def floor_errors(problem: Problem, difference: np.ndarray) -> np.ndarray:
+    """(N,) the errors that rounding and compression would leave were the simulator right."""
     # weighed by its own size, as the real residual is by its own
     counted = problem.robust_weights(difference) * problem.pairs.mask[problem.inner]
     return (difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2))

@@ -1,193 +1,237 @@
 """Clean+noisy pairs: numbers that say how a real picture's residual differs from a simulated one's.
 
 Pixels of two noise realisations never agree, so statistics of the residual are compared: what its mean
-follows (light, radius, edges, hue ...), and how its noise is spread, correlated, shaped and repeated.
+follows (light, radius, edges, hue ...), see `noisy_mean`, and how its noise is spread, correlated, shaped and
+repeated. The noise is measured on what is left when the mean's part, a regression on the noise-free picture's
+local features, is taken out: an error of the mean at edges is no noise. Repeated frames give it without any.
 """
 
 import functools
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap.noisy_mean import CHANNELS, Maps, blurred, mean_names, tents
 from jaxisp.windows import gaussian_blur
 
-LUMA_BINS = 8
-_CHANNELS = ("Y", "Cb", "Cr")
-MEAN_TOLERANCE = 0.35
-"""Mean errors of so many 8-bit steps are taken for a harmless mismatch; of logarithms and correlations, see
-`TOLERANCES`."""
-TOLERANCES = {"logvar": 0.08, "corr": 0.02, "pattern": 0.02, "tail": 0.08, "comb": 0.02}
+LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
+"""Where the tents of luma stand that noise is measured in: the dark has more to tell."""
+_LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+_DARK = 70.0  # luma below which read noise is most of the noise
+_STRIPE = 16  # px: lines are measured on every second stripe, and on the stripes between
+Found = dict[str, jax.Array]
 
 
-def _blur(stack: jax.Array, sigma: float) -> jax.Array:
-    """(h, w, C)."""
-    radius = int(np.ceil(3 * sigma))
-    return jnp.stack([gaussian_blur(stack[..., c], sigma, radius) for c in range(stack.shape[-1])], -1)
+def _log(numerator: Any, denominator: Any = 1.0, least: float = 0.02) -> jax.Array:
+    return jnp.log((numerator + least) / (denominator + least))
 
 
-def _tents(x: jax.Array, count: int) -> list[jax.Array]:
-    """Partition of [0, 1] into `count` overlapping tents."""
-    at = jnp.clip(x, 0, 1) * (count - 1)
-    return [jnp.maximum(1 - jnp.abs(at - k), 0) for k in range(count)]
+def _mean(values: jax.Array, weight: jax.Array) -> jax.Array:
+    return (values * weight).sum() / (weight.sum() + 1e-3)
 
 
-def regressors(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
-    """What the mean residual may follow, computed from the noise-free picture (h, w, 3) in steps: the channel
-    it is looked for in, and the map, by "axis name"."""
-    h, w = s.shape[:2]
-    y = s[..., 0]
-    rows, columns = (jnp.arange(n) - (n - 1) / 2 for n in (h, w))
-    corner = jnp.hypot(rows[-1], columns[-1])
-    ry, rx = rows[:, None] / corner, columns[None, :] / corner
-    r2 = ry**2 + rx**2
-    smooth = _blur(s, 0.8)
-    gy, gx = jnp.asarray(jnp.gradient(smooth, axis=0)), jnp.asarray(jnp.gradient(smooth, axis=1))
-    wide = _blur(s, 2.0)
-    mean = gaussian_blur(y, 14.0, 42)
-    maps: dict[str, tuple[int, jax.Array]] = {}
-    for c, name in enumerate(_CHANNELS):
-        for k, tent in enumerate(_tents(y / 255, LUMA_BINS)):
-            maps[f"intensity {name}{k}"] = c, tent
-        maps[f"radius {name} gain"] = c, y * (r2 - r2.mean())
-        maps[f"radius {name} gain4"] = c, y * (r2**2 - 0.9 * r2)
-        own, luma = ry * gy[..., c] + rx * gx[..., c], ry * gy[..., 0] + rx * gx[..., 0]
-        maps[f"edge {name} shift"] = c, own if c == 0 else luma
-        maps[f"edge {name} shift3"] = c, (own if c == 0 else luma) * r2
-        maps[f"frequency {name} fine"] = c, s[..., c] - smooth[..., c]
-        maps[f"frequency {name} coarse"] = c, smooth[..., c] - wide[..., c]
-    for name, kernel in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
-        moved = [jnp.roll(smooth[..., 0], (i * kernel[0], i * kernel[1]), (0, 1)) for i in (-2, 2)]
-        maps[f"orientation {name}"] = 0, smooth[..., 0] - 0.5 * (moved[0] + moved[1])
-    maps["neighbourhood base"] = 0, y * (mean - mean.mean()) / 255
-    maps["neighbourhood detail"] = 0, y - mean
-    cb, cr = s[..., 1], s[..., 2]
-    chroma, hue = jnp.hypot(cb, cr), jnp.arctan2(cr, cb + 1e-6)
-    for k in range(6):
-        sector = jnp.maximum(jnp.cos(hue - k * jnp.pi / 3), 0) ** 4
-        maps[f"hue {k} Cb"] = 1, sector * chroma
-        maps[f"hue {k} Cr"] = 2, sector * chroma
-        maps[f"hue {k} Y"] = 0, sector * chroma
-    odd_row, odd_column = jnp.arange(h)[:, None] % 2, jnp.arange(w)[None, :] % 2
-    for name, pattern in (("rows", odd_row + 0 * odd_column), ("columns", odd_column + 0 * odd_row),
-                          ("checker", (odd_row + odd_column) % 2)):  # fmt: skip
-        maps[f"cfa_phase {name}"] = 0, y * (2.0 * pattern - 1)
-    return maps
+def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
+    """(h, w) near 1 where neither luma nor chroma of a noise-free picture has edges, near 0 at edges."""
+    smooth = blurred(s, 1.0)
+    steps = [jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (0, 1)]
+    activity = gaussian_blur(jnp.sqrt((steps[0] ** 2 + steps[1] ** 2).sum(-1)), 2.0, 6)
+    return mask / (1 + (activity / 2.0) ** 2) ** 2
 
 
-@functools.partial(jax.jit, static_argnums=2)
-def normalised_regressors(s: jax.Array, mask: jax.Array, channel: int) -> jax.Array:
-    """(N, K, h w) the regressors of one channel of noise-free pictures (N, h, w, 3), scaled so that their
-    product with a residual is its amplitude [8-bit steps, root mean square]."""
-
-    def one(pair: Any) -> jax.Array:
-        picture, m = pair
-        found = regressors(picture)
-        maps = jnp.stack([v * m for _, (c, v) in sorted(found.items()) if c == channel])
-        norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
-        return (maps / norm[:, None, None]).reshape(len(maps), -1)
-
-    return jax.lax.map(one, (s, mask))
+def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array) -> Found:
+    """Spread, spectrum, correlation, lines, tails and grids of one residual's noise."""
+    flat = flatness(s, mask)
+    smooth = [blurred(r, sigma) for sigma in (1.0, 2.5, 6.0)]
+    bands = [r - smooth[0], smooth[0] - smooth[1], smooth[1] - smooth[2]]
+    high = r - smooth[1]
+    found = _spread(high, bands, s, mask, flat) | _correlations(high, flat, s[..., 0]) | _lines(r, flat)
+    found |= _tails(high[..., 0], s[..., 0], flat) | _grids(high, y, flat)
+    return found
 
 
-def _log_mean(values: jax.Array, weight: jax.Array, least: float = 0.02) -> jax.Array:
-    return jnp.log((values * weight).sum() / (weight.sum() + 1e-6) + least)
-
-
-def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array) -> dict[str, jax.Array]:
-    """Spread, spectrum, correlation, tails and grid of the residual's noise."""
-    found: dict[str, jax.Array] = {}
-    smooth = _blur(s, 1.0)
-    steps = [jnp.asarray(jnp.gradient(smooth[..., 0], axis=a)) for a in (0, 1)]
-    activity = gaussian_blur(jnp.hypot(steps[0], steps[1]), 2.0, 6)
-    flat = mask / (1 + (activity / 2.0) ** 2) ** 2
-    bands = [r - _blur(r, 1.0), _blur(r, 1.0) - _blur(r, 2.5), _blur(r, 2.5) - _blur(r, 6.0)]
-    high = r - bands[2] - _blur(r, 6.0)
-    for c, name in enumerate(_CHANNELS):
-        for k, tent in enumerate(_tents(s[..., 0] / 255, 5)):
-            found[f"logvar intensity {name}{k}"] = _log_mean(high[..., c] ** 2, flat * tent)
+def _spread(high: jax.Array, bands: list[jax.Array], s: jax.Array, mask: jax.Array, flat: jax.Array) -> Found:
+    found: Found = {}
+    h, w = mask.shape
+    down, across = (jnp.arange(n) / (n - 1) - 0.5 for n in (h, w))
+    outer = jnp.clip(2 * (down[:, None] ** 2 + across[None, :] ** 2), 0, 1)
+    for c, name in enumerate(CHANNELS):
+        square = high[..., c] ** 2
+        whole = _mean(square, flat)
+        for k, tent in enumerate(tents(s[..., 0], LUMA)):
+            found[f"logvar intensity {name}{k}"] = _log(_mean(square, flat * tent))
         for k, band in enumerate(bands):
-            found[f"logvar frequency {name}{k}"] = _log_mean(band[..., c] ** 2, flat)
-        found[f"logvar edge {name}"] = _log_mean(high[..., c] ** 2, mask - flat)
-        lags = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0)) if c == 0 else ((0, 1), (1, 0), (0, 2), (2, 0))
-        power = (high[..., c] ** 2 * flat).sum()
-        for lag in lags:
-            moved = jnp.roll(high[..., c], lag, (0, 1))
-            found[f"corr lag {name}{lag}"] = (high[..., c] * moved * flat).sum() / (power + 1e-3)
-        for axis, of in ((1, "row"), (0, "column")):
-            line = (r[..., c] * flat).sum(axis) / (flat.sum(axis) + 1e-3)
-            step = line[1:-1] - 0.5 * (line[:-2] + line[2:])
-            found[f"logvar {of} {name}"] = jnp.log((step**2).mean() + 2e-4)
-    luma = high[..., 0]
+            found[f"logvar frequency {name}{k}"] = _log(_mean(band[..., c] ** 2, flat), whole)
+        found[f"logvar edge {name}"] = _log(_mean(square, mask - flat), whole)
+        parts = [_mean(square, flat * weight) for weight in (outer, 1 - outer)]
+        found[f"logvar radius {name}"] = _log(parts[0], parts[1])
+    return found
+
+
+def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
+    """With neighbours, in the dark, where read noise is most of it, and elsewhere; and between channels."""
+    found: Found = {}
+    dark = jax.nn.sigmoid((_DARK - light) / 6)
+    for part, weight in (("dark", flat * dark), ("light", flat * (1 - dark))):
+        power = [(high[..., c] ** 2 * weight).sum() + 1.0 for c in range(3)]
+        for c, name in enumerate(CHANNELS):
+            for lag in _LAGS[: 6 if c == 0 else 3]:
+                product = high[..., c] * jnp.roll(high[..., c], lag, (0, 1))
+                found[f"corr lag {name}{lag} {part}"] = (product * weight).sum() / power[c]
+        for a, b in ((0, 1), (0, 2), (1, 2)):
+            product = (high[..., a] * high[..., b] * weight).sum()
+            found[f"corr channel {CHANNELS[a]}{CHANNELS[b]} {part}"] = product / jnp.sqrt(power[a] * power[b])
+    return found
+
+
+def _lines(r: jax.Array, flat: jax.Array) -> Found:
+    """How the mean of a row over every second stripe follows that over the stripes between, which white
+    noise does not make it do; alike for columns. "slow" is what varies over tens of lines."""
+    found: Found = {}
+    power = blurred(r**2 * flat[..., None], 4.0) / (gaussian_blur(flat, 4.0, 12) + 1e-3)[..., None]
+    even = r / jnp.sqrt(power + 0.1 * power.mean((0, 1)) + 1e-3)  # quiet parts tell as much as loud ones
+    for axis, of in ((1, "row"), (0, "column")):
+        place = jnp.arange(r.shape[axis]) // _STRIPE % 2
+        sides = [flat * jnp.expand_dims(place == side, 1 - axis) for side in (0, 1)]
+        for c, name in enumerate(CHANNELS):
+            means = [(even[..., c] * side).sum(axis) / (side.sum(axis) + 1.0) for side in sides]
+            found[f"corr {of} {name}"] = _agreement(*(m[1:-1] - 0.5 * (m[:-2] + m[2:]) for m in means))
+            slow = [jnp.convolve(m, jnp.ones(5) / 5, "valid") for m in means]
+            found[f"corr {of} {name} slow"] = _agreement(*(m - m.mean() for m in slow))
+    return found
+
+
+def _agreement(a: jax.Array, b: jax.Array) -> jax.Array:
+    return (a * b).sum() / jnp.sqrt((a**2).sum() * (b**2).sum() + 1e-6)
+
+
+def _tails(luma: jax.Array, light: jax.Array, flat: jax.Array) -> Found:
+    found: Found = {}
     local = gaussian_blur(luma**2 * flat, 4.0, 12) / (gaussian_blur(flat, 4.0, 12) + 1e-3)
-    for name, part in (("dark", s[..., 0] < 90), ("bright", s[..., 0] >= 90)):
+    for name, part in (("dark", light < 80), ("bright", light >= 80)):
         weight = flat * part
-        total = weight.sum() + 1e-3
-        variance = (luma**2 * weight).sum() / total + 0.02
-        z = luma / jnp.sqrt(variance)
-        found[f"tail kurtosis {name}"] = jnp.log((z**4 * weight).sum() / total + 0.1)
-        found[f"tail skew {name}"] = 0.5 * (jnp.clip(z, -6, 6) ** 3 * weight).sum() / total
+        variance = _mean(luma**2, weight) + 0.02
+        z = luma / jnp.sqrt(0.8 * local + 0.2 * variance + 0.02)
+        found[f"tail tail kurtosis {name}"] = _log(_mean(z**4, weight), 3.0, 0.1)
+        found[f"tail tail skew {name}"] = 0.5 * _mean(jnp.clip(z, -6, 6) ** 3, weight)
         for sign, side in ((1, "high"), (-1, "low")):
-            far = jax.nn.sigmoid(4 * (sign * luma / jnp.sqrt(local + 0.05 * variance) - 4.5))
-            found[f"tail {side} {name}"] = 0.5 * jnp.log1p(1e4 * (far * weight).sum() / total)
-        still = jnp.exp(-(((y[..., 0] - jnp.roll(y[..., 0], 1, 1)) / 0.7) ** 2))
-        found[f"comb intensity {name}"] = (still * weight).sum() / total
+            share = _mean(jax.nn.sigmoid(4 * (sign * z - 4.0)), weight)
+            found[f"tail tail {side} {name}"] = 0.5 * jnp.log1p(1e4 * share)
+    return found
+
+
+def _grids(high: jax.Array, y: jax.Array, flat: jax.Array) -> Found:
+    """What repeats every 2 px, every 8 px, or at certain values only."""
+    found: Found = {}
+    for c, name in enumerate(CHANNELS):
+        whole = _mean(high[..., c] ** 2, flat)
+        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            part = _mean(high[a::2, b::2, c] ** 2, flat[a::2, b::2])
+            found[f"logvar cfa_phase {name}{a}{b}"] = _log(part, whole)
     for axis, of in ((1, "columns"), (0, "rows")):
         jump = (jnp.abs(y[..., 0] - jnp.roll(y[..., 0], 1, axis)) * flat).sum(1 - axis)
         by_phase = jnp.stack([jump[k::8].mean() for k in range(8)])
         for k in range(8):
-            found[f"logvar block_phase {of}{k}"] = jnp.log(by_phase[k] / (by_phase.mean() + 1e-3) + 0.1)
-    overall = (luma**2 * flat).sum() / (flat.sum() + 1e-3) + 0.02
-    for a in (0, 1):
-        for b in (0, 1):
-            part, weight = luma[a::2, b::2], flat[a::2, b::2]
-            found[f"logvar cfa_phase {a}{b}"] = jnp.log(
-                ((part**2 * weight).sum() / (weight.sum() + 1e-3) + 0.02) / overall
-            )
+            found[f"logvar block_phase {of}{k}"] = _log(by_phase[k], by_phase.mean(), 0.01)
+    for c, name in enumerate(CHANNELS):
+        size = jnp.abs(_blocks(y[..., c]))
+        near = jnp.exp(-((size / 1.5) ** 2)).mean((0, 1))
+        for k in range(3):
+            band = (_ORDER // 4).clip(max=2) == k
+            found[f"comb block_phase {name}{k}"] = (near * band).sum() / band.sum()
+        still = jnp.exp(-(((y[..., c] - jnp.roll(y[..., c], 1, 1)) / 0.7) ** 2))
+        found[f"comb intensity {name}"] = _mean(still, flat)
     return found
 
 
-def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array) -> dict[str, jax.Array]:
-    """(N,) each: how a pair's residual repeats in the others of the set, pixel by pixel and line by line."""
-    luma = r[..., 0] * mask
-    smooth = jnp.stack([gaussian_blur(v, 1.5, 5) for v in luma])
+_ORDER = np.add.outer(np.arange(8), np.arange(8))
+_WAVES = np.cos(np.outer(np.arange(8), 2 * np.arange(8) + 1) * np.pi / 16)
+_WAVES = _WAVES / np.linalg.norm(_WAVES, axis=1, keepdims=True)
+
+
+def _blocks(plane: jax.Array) -> jax.Array:
+    """(down, across, 8, 8) cosine transform of the 8x8 blocks."""
+    h, w = (n // 8 * 8 for n in plane.shape)
+    blocks = plane[:h, :w].reshape(h // 8, 8, w // 8, 8).swapaxes(1, 2)
+    waves = jnp.asarray(_WAVES, plane.dtype)
+    return waves @ blocks @ waves.T
+
+
+def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array) -> Found:
+    """(N,) each: how a pair's residual repeats in the other scenes, pixel by pixel and line by line."""
+    found: Found = {}
     light = s[..., 0] / 255
-    found: dict[str, jax.Array] = {}
-
-    def repeated(values: jax.Array) -> jax.Array:
-        others = (values.sum(0) - values) / max(len(values) - 1, 1)
-        axes = tuple(range(1, values.ndim))
-        norm = jnp.sqrt((values**2).sum(axes) * (others**2).sum(axes)) + 1e-6
-        return (values * others).sum(axes) / norm
-
-    high = luma - smooth
-    clipped = jnp.clip(high / (jnp.sqrt((high**2).mean((1, 2), keepdims=True)) + 0.1), -4, 4)
-    found["pattern fixed_pattern pixel"] = repeated(clipped)
-    found["pattern fixed_pattern bright"] = repeated(clipped * light)
-    found["pattern tail peaks"] = repeated(jnp.maximum(jnp.abs(clipped) - 3, 0))
-    for axis, name in ((1, "column"), (2, "row")):
-        line = luma.sum(axis) / (mask.sum(axis) + 1e-3)
-        found[f"pattern {name} repeats"] = repeated(line[:, 1:-1] - 0.5 * (line[:, :-2] + line[:, 2:]))
+    for c, name in enumerate(CHANNELS):
+        plane = r[..., c] * mask
+        high = plane - jnp.stack([gaussian_blur(v, 1.5, 5) for v in plane])
+        clipped = jnp.clip(high / (jnp.sqrt((high**2).mean((1, 2), keepdims=True)) + 0.1), -4, 4)
+        found[f"pattern fixed_pattern {name} pixel"] = _repeated(clipped, others)
+        if c == 0:
+            found["pattern fixed_pattern bright"] = _repeated(clipped * light, others)
+            found["pattern tail peaks"] = _repeated(jnp.maximum(jnp.abs(clipped) - 3, 0), others)
+        for axis, of in ((1, "column"), (2, "row")):
+            line = plane.sum(axis) / (mask.sum(axis) + 1e-3)
+            step = line[:, 1:-1] - 0.5 * (line[:, :-2] + line[:, 2:])
+            found[f"pattern {of} {name} repeats"] = _repeated(step, others)
     return found
+
+
+def _repeated(values: jax.Array, which: jax.Array) -> jax.Array:
+    others = jnp.tensordot(which, values, 1, precision="highest")
+    axes = tuple(range(1, values.ndim))
+    return (values * others).sum(axes) / (jnp.sqrt((values**2).sum(axes) * (others**2).sum(axes)) + 1e-6)
+
+
+class Frames(NamedTuple):
+    """Which pictures are of one scene.
+
+    Attributes:
+        average: (N, N) the mean over the frames of the own scene; zero where there is one only.
+        others: (N, N) the mean over the frames of other scenes, or of the own where there is no other.
+    """
+
+    average: jax.Array
+    others: jax.Array
+
+
+def frames_of(scenes: Sequence[str]) -> Frames:
+    """From the name of the scene of each picture."""
+    same = np.equal.outer(scenes, scenes).astype(float)
+    average = np.where(same.sum(1, keepdims=True) > 1, same / same.sum(1, keepdims=True), 0)
+    others = 1 - same if (same == 0).any() else 1 - np.eye(len(same))
+    others = others / np.maximum(others.sum(1, keepdims=True), 1)
+    return Frames(jnp.asarray(average, jnp.float32), jnp.asarray(others, jnp.float32))
 
 
 @jax.jit
-def features(y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[jax.Array, ...]) -> jax.Array:
+def features(
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...], frames: Frames
+) -> jax.Array:
     """(N, F) statistics of pictures (N, h, w, 3) against noise-free ones, all in Y'CbCr in 8-bit steps.
 
     Args:
         maps: `normalised_regressors` of each channel.
+        frames: where a scene has several, their noise is what each differs in from their mean.
     """
     r = y - s
-    flat = r.reshape(len(r), -1, 3)
-    means = [jnp.einsum("nkp,np->nk", m, flat[..., c], precision="highest") for c, m in enumerate(maps)]
+    means, left = [], []
+    for c, (m, inverse) in enumerate(maps):
+        flat = r[..., c].reshape(len(r), -1)
+        amplitude = jnp.einsum("nkp,np->nk", m, flat, precision="highest")
+        fitted = jnp.einsum("nkp,nkl,nl->np", m, inverse, amplitude, precision="highest")
+        means.append(amplitude)
+        left.append((flat - fitted).reshape(r.shape[:-1]))
+    whole = jnp.stack(left, -1) * mask[..., None]
+    apart = jnp.eye(len(r)) - frames.average
+    apart = apart / jnp.sqrt((apart**2).sum(1, keepdims=True))
+    noise = jnp.tensordot(apart, whole, 1, precision="highest") * mask[..., None]
 
-    def one(pair: Any) -> dict[str, jax.Array]:
-        picture, noise_free, m = pair
-        return noise_part(picture - noise_free, picture, noise_free, m)
+    def one(pair: Any) -> Found:
+        return noise_part(*pair)
 
-    found = jax.lax.map(one, (y, s, mask)) | pattern_part(r, s, mask)
+    found = jax.lax.map(one, (noise, y, s, mask)) | pattern_part(whole, s, mask, frames.others)
     return jnp.concatenate([*means, jnp.stack([found[name] for name in sorted(found)], 1)], 1)
 
 
@@ -196,21 +240,8 @@ def feature_names() -> tuple[str, ...]:
     """In the order of the columns of `features`; "kind axis what"."""
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
-    channels: dict[str, int] = {}
-
-    def noted(p: jax.Array) -> jax.Array:
-        channels.update({name: c for name, (c, _) in regressors(p).items()})
-        return p
-
-    jax.eval_shape(noted, shape)
-    means = [f"mean {name}" for c in range(3) for name in sorted(channels) if channels[name] == c]
-    noise = jax.eval_shape(lambda p, s, m: noise_part(p - s, p, s, m), shape, shape, mask)
+    noise = jax.eval_shape(noise_part, shape, shape, shape, mask)
     many = jax.ShapeDtypeStruct((2, 32, 32, 3), jnp.float32)
-    patterns = jax.eval_shape(pattern_part, many, many, jax.ShapeDtypeStruct((2, 32, 32), jnp.float32))
-    return (*means, *sorted({*noise, *patterns}))
-
-
-def tolerances() -> np.ndarray:
-    """(F,) the differences that are taken for harmless."""
-    kinds = [name.split()[0] for name in feature_names()]
-    return np.array([MEAN_TOLERANCE if k == "mean" else TOLERANCES[k] for k in kinds])
+    masks, pairs = (jax.ShapeDtypeStruct(n, jnp.float32) for n in ((2, 32, 32), (2, 2)))
+    patterns = jax.eval_shape(pattern_part, many, many, masks, pairs)
+    return (*mean_names(), *sorted({*noise, *patterns}))

@@ -22,7 +22,8 @@ def diagnosed(tmp_path_factory):
         return diagnose(folder).report
 
     cases = {"nothing": 1, "scene_gain": 1, "vignetting": 4, "chroma_denoising": 3, "color_lut": 4,
-             "local_tone_mapping": 4, "optical_blur": 3, "green_imbalance": 4, "date_stamp": 3}  # fmt: skip
+             "local_tone_mapping": 4, "optical_blur": 3, "green_imbalance": 4, "film_grain": 4,
+             "date_stamp": 3}  # fmt: skip
     return {name: report(name, level) for name, level in cases.items()}
 
 
@@ -40,7 +41,15 @@ def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
 
 @pytest.mark.parametrize(
     "effect",
-    ["vignetting", "chroma_denoising", "color_lut", "local_tone_mapping", "optical_blur", "green_imbalance"],
+    [
+        "vignetting",
+        "chroma_denoising",
+        "color_lut",
+        "local_tone_mapping",
+        "optical_blur",
+        "green_imbalance",
+        "film_grain",
+    ],
 )
 def test_the_effect_that_is_missing_is_named(diagnosed, effect):
     report = diagnosed[effect]

@@ -1,0 +1,107 @@
+"""Film grain beside a RAW: noise that the RAW does not have, told by its energy where nothing else is.
+
+No simulator predicts it pixel by pixel, so it lowers no squared error; what it can do is say how large
+the error must be. Its energy is read off flat areas, less what the picture's own detail predicts there (a
+denoiser's residual is the RAW's noise, grain's is not) and less the floor, as a function of luma.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
+
+from jaxisp.gap.residual import Problem
+from jaxisp.gap.which import LEADING, Split, Trial, interval
+
+Cause = tuple[Trial, list[str]]
+
+_FLAT = 0.35  # share of the pixels that counts as flat
+_BINS = 8
+_FEW = 200  # flat pixels of a bin
+
+
+def grain_trial(problem: Problem, floor: np.ndarray, split: Split, scale: float, least: float) -> Trial:
+    """How much of the gap film grain accounts for where the problem stands.
+
+    Args:
+        problem: the residual is looked at, nothing is moved.
+        floor: (N, h, w, 3) what rounding and the file's compression do, in steps.
+        split: grain is measured on the fitted pairs, and closes on the others.
+        scale, least: as for `refit`.
+    """
+    fit_on, held = list(split.fit), list(split.held_out)
+    residual = problem.target - problem.current
+    flat = _flat(problem)
+    energy = _unpredicted(problem, residual, flat, fit_on) - (floor**2).sum(-1)
+    expected = _by_luma(problem.current[..., 0], energy, flat, fit_on)
+    counted = problem.weight[..., 0] ** 2
+    found = problem.tiled(counted * (residual**2).sum(-1))[held]
+    left = found - problem.tiled(counted * expected)[held]
+    bottom = problem.tiled(counted * (floor**2).sum(-1))[held]
+    after = bottom + np.abs(left - bottom)
+    drop = found - after
+    low, high = interval(drop, scale)
+    means = float(np.nanmean(found)), float(np.nanmean(after))
+    params = {"std": float(np.sqrt(expected[flat].mean() / 3) / 255)}
+    return Trial(
+        "film_grain", problem.z, *means, float(np.nanmean(drop)) / scale, low, high, least, params=params
+    )
+
+
+def with_grain(causes: Sequence[Cause], grain: Trial) -> list[Cause]:
+    """The causes with film grain where its closure belongs: its drop adds to the others'.
+
+    What another effect leaves in flat areas is less than a leading cause.
+    """
+    if not grain.accepted or grain.closed < LEADING:
+        return list(causes)
+    drop = grain.before - grain.after
+    first = [c for c in causes if c[0].closed >= grain.closed]
+    before = first[-1][0].after if first else (causes[0][0].before if causes else grain.before)
+    moved = [
+        (dataclasses.replace(t, before=t.before - drop, after=t.after - drop), alike)
+        for t, alike in causes[len(first) :]
+    ]
+    return [*first, (dataclasses.replace(grain, before=before, after=before - drop), []), *moved]
+
+
+def _flat(problem: Problem) -> np.ndarray:
+    """(N, h, w) where the simulator's picture hardly changes."""
+    slope = gaussian_gradient_magnitude(problem.current[..., 0], (0, 1.5, 1.5))
+    seen = problem.weight[..., 0] > 0
+    return np.asarray((slope < np.quantile(slope[seen], _FLAT)) & seen)
+
+
+def _unpredicted(
+    problem: Problem, residual: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]
+) -> np.ndarray:
+    """(N, h, w) energy of the residual's detail less what the picture's own predicts of it.
+
+    What is smooth in flat areas is an error of colour, not grain.
+    """
+    details = np.concatenate([_detail(problem.current, sigma) for sigma in (1.0, 3.0)], -1)
+    learnt = np.zeros_like(flat)
+    learnt[fit_on] = flat[fit_on]
+    fine = _detail(residual, 3.0)
+    share, *_ = np.linalg.lstsq(details[learnt], fine[learnt], rcond=None)
+    return np.asarray(((fine - details @ share) ** 2).sum(-1))
+
+
+def _detail(picture: np.ndarray, sigma: float) -> np.ndarray:
+    return np.asarray(picture - gaussian_filter(picture, (0, sigma, sigma, 0)))
+
+
+def _by_luma(luma: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]) -> np.ndarray:
+    """(N, h, w) the mean energy of flat areas of that luma, at least 0."""
+    learnt = np.zeros_like(flat)
+    learnt[fit_on] = flat[fit_on]
+    values, seen = energy[learnt], luma[learnt]
+    edges = np.quantile(seen, np.linspace(0, 1, _BINS + 1))
+    which = np.clip(np.searchsorted(edges, seen, "right") - 1, 0, _BINS - 1)
+    full = [k for k in range(_BINS) if (which == k).sum() >= _FEW]
+    if not full:
+        return np.zeros_like(energy)
+    centres = [seen[which == k].mean() for k in full]
+    means = [max(values[which == k].mean(), 0.0) for k in full]
+    return np.interp(luma, centres, means)

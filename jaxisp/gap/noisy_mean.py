@@ -1,0 +1,128 @@
+"""Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.windows import gaussian_blur
+
+CHANNELS = ("Y", "Cb", "Cr")
+_LUMA = tuple(255 * k / 7 for k in range(8))
+Maps = tuple[jax.Array, jax.Array]
+
+
+def blurred(stack: jax.Array, sigma: float) -> jax.Array:
+    """(h, w, C)."""
+    radius = int(np.ceil(3 * sigma))
+    return jnp.stack([gaussian_blur(stack[..., c], sigma, radius) for c in range(stack.shape[-1])], -1)
+
+
+def tents(x: jax.Array, knots: tuple[float, ...]) -> list[jax.Array]:
+    """Overlapping tents that stand at the knots and sum to one."""
+    x = jnp.clip(x, knots[0], knots[-1])
+    found = []
+    for k, knot in enumerate(knots):
+        left, right = knots[max(k - 1, 0)], knots[min(k + 1, len(knots) - 1)]
+        up = (x - left) / (knot - left) if k else jnp.inf
+        down = (right - x) / (right - knot) if k < len(knots) - 1 else jnp.inf
+        found.append(jnp.clip(jnp.minimum(up, down), 0, 1))
+    return found
+
+
+def regressors(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+    """From the noise-free picture (h, w, 3) in steps: the channel a map is looked for in, and the map, by
+    "axis name"."""
+    maps: dict[str, tuple[int, jax.Array]] = {}
+    for c, name in enumerate(CHANNELS):
+        maps |= {f"{key} {name} {what}": (c, m) for (key, what), m in _of_channel(s, c).items()}
+    return maps | _of_luma(s) | _of_colour(s)
+
+
+def _of_channel(s: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
+    h, w = s.shape[:2]
+    y = s[..., 0]
+    rows, columns = (jnp.arange(n) - (n - 1) / 2 for n in (h, w))
+    corner = jnp.hypot(rows[-1], columns[-1])
+    ry, rx = rows[:, None] / corner, columns[None, :] / corner
+    r2 = ry**2 + rx**2
+    smooth = blurred(s, 0.8)
+    gy, gx = (jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (0, 1))
+    maps = {("intensity", str(k)): tent for k, tent in enumerate(tents(y, _LUMA))}
+    maps["radius", "gain"] = y * (r2 - r2.mean())
+    maps["radius", "gain4"] = y * (r2**2 - 0.9 * r2)
+    own = c if c == 0 else 0
+    outward = ry * gy[..., own] + rx * gx[..., own]
+    maps["edge", "shift"], maps["edge", "shift3"] = outward, outward * r2
+    maps["edge", "down"], maps["edge", "right"] = gy[..., own], gx[..., own]
+    wide = blurred(s, 2.0)
+    maps["frequency", "fine"] = s[..., c] - smooth[..., c]
+    maps["frequency", "coarse"] = smooth[..., c] - wide[..., c]
+    if c:
+        maps["frequency", "luma"] = y - smooth[..., 0]
+        maps["saturation", "gain"] = s[..., c] * jnp.hypot(s[..., 1], s[..., 2]) / 64
+    odd_row, odd_column = jnp.arange(h)[:, None] % 2, jnp.arange(w)[None, :] % 2
+    for name, pattern in (("rows", odd_row + 0 * odd_column), ("columns", odd_column + 0 * odd_row),
+                          ("checker", (odd_row + odd_column) % 2)):  # fmt: skip
+        maps["cfa_phase", name] = y * (2.0 * pattern - 1)
+    return maps
+
+
+def _of_luma(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+    y = s[..., 0]
+    smooth, mean = gaussian_blur(y, 0.8, 3), gaussian_blur(y, 14.0, 42)
+    maps: dict[str, tuple[int, jax.Array]] = {}
+    for name, (down, across) in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
+        moved = [jnp.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
+        maps[f"orientation {name}"] = 0, smooth - 0.5 * (moved[0] + moved[1])
+    maps["neighbourhood base"] = 0, y * (mean - mean.mean()) / 255
+    maps["neighbourhood detail"] = 0, y - mean
+    return maps
+
+
+def _of_colour(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+    cb, cr = s[..., 1], s[..., 2]
+    chroma, hue = jnp.hypot(cb, cr), jnp.arctan2(cr, cb + 1e-6)
+    maps: dict[str, tuple[int, jax.Array]] = {}
+    for k in range(6):
+        sector = jnp.maximum(jnp.cos(hue - k * jnp.pi / 3), 0) ** 4
+        for c, name in enumerate(CHANNELS):
+            maps[f"hue {k} {name}"] = c, sector * chroma
+    return maps
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def normalised_regressors(s: jax.Array, mask: jax.Array, channel: int) -> Maps:
+    """The maps of one channel of noise-free pictures (N, h, w, 3).
+
+    Returns:
+        (N, K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
+        mean square], and (N, K, K) what turns these amplitudes into the coefficients of a regression.
+    """
+
+    def one(pair: Any) -> Maps:
+        picture, m = pair
+        found = regressors(picture)
+        maps = jnp.stack([v * m for _, (c, v) in sorted(found.items()) if c == channel])
+        norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
+        maps = (maps / norm[:, None, None]).reshape(len(maps), -1)
+        gram = jnp.einsum("kp,lp->kl", maps, maps, precision="highest")
+        ridge = 1e-3 / (m.sum() + 1) * jnp.eye(len(maps))
+        return maps, jnp.linalg.inv(gram + ridge)
+
+    return jax.lax.map(one, (s, mask))
+
+
+@functools.cache
+def mean_names() -> tuple[str, ...]:
+    """ "mean axis what" of the maps, channel after channel, in the order of `normalised_regressors`."""
+    channels: dict[str, int] = {}
+
+    def noted(p: jax.Array) -> jax.Array:
+        channels.update({name: c for name, (c, _) in regressors(p).items()})
+        return p
+
+    jax.eval_shape(noted, jax.ShapeDtypeStruct((32, 32, 3), jnp.float32))
+    return tuple(f"mean {name}" for c in range(3) for name in sorted(channels) if channels[name] == c)

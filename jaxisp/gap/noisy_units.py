@@ -1,0 +1,56 @@
+"""Clean+noisy pairs: what difference of each statistic is harmless, and how much it counts."""
+
+import functools
+
+import numpy as np
+
+from jaxisp.gap.statistics import feature_names
+
+TOLERANCES: dict[str, float] = {
+    "mean cfa_phase": 0.04, "mean edge": 0.06, "mean frequency": 0.3, "mean hue": 0.2,
+    "mean intensity": 0.2, "mean neighbourhood": 0.15, "mean orientation": 0.12, "mean radius": 0.1,
+    "mean saturation": 0.12, "comb block_phase": 0.015, "comb intensity": 0.008, "corr channel": 0.03,
+    "corr lag": 0.035, "corr row": 0.04, "corr column": 0.04, "logvar block_phase": 0.03,
+    "logvar cfa_phase": 0.05, "logvar edge": 0.06, "logvar frequency": 0.05, "logvar intensity": 0.12,
+    "logvar radius": 0.05, "pattern row": 0.02, "pattern column": 0.02, "pattern fixed_pattern": 0.006,
+    "pattern tail": 0.01, "tail tail": 0.12,
+}  # fmt: skip
+"""Differences that cameras lacking nothing show, averaged over pairs, chance taken off: 8-bit steps for
+means, logarithms and correlations for the rest. See docs/diagnosis.md for the cameras."""
+
+
+def axis_of(name: str) -> str:
+    """The axis of the contract that a statistic belongs to."""
+    return name.split()[1]
+
+
+def group_of(name: str) -> str:
+    """Statistics of one axis count as much together as those of another; those of the mean and of the noise
+    are apart."""
+    kind, axis = name.split()[:2]
+    return f"mean {axis}" if kind == "mean" else f"noise {axis}"
+
+
+@functools.cache
+def tolerances() -> np.ndarray:
+    """(F,) the differences that are taken for harmless."""
+    return np.array([_tolerance(name) for name in feature_names()])
+
+
+def _tolerance(name: str) -> float:
+    return TOLERANCES[" ".join(name.split()[:2])]
+
+
+@functools.cache
+def repeats() -> np.ndarray:
+    """(F,) how much more the mean over pairs scatters than it would were they independent: what two pairs
+    share counts for both."""
+    return np.array([2.0 if name.startswith("pattern") else 1.0 for name in feature_names()])
+
+
+@functools.cache
+def weights() -> np.ndarray:
+    """(F,) of mean one: each group counts the same."""
+    groups = [group_of(name) for name in feature_names()]
+    counts = {g: groups.count(g) for g in groups}
+    return np.array([len(groups) / (len(counts) * counts[g]) for g in groups])

@@ -1,0 +1,83 @@
+"""The rows of report.json: the base, a cause, the ranking."""
+
+import dataclasses
+from collections.abc import Sequence
+from math import erfc, sqrt
+from typing import Any
+
+import numpy as np
+
+from jaxisp.gap.effects import EFFECTS
+from jaxisp.gap.model import Model
+from jaxisp.gap.which import Trial
+
+
+def base_row(model: Model, absorbed: dict[str, float]) -> dict[str, Any]:
+    names = {c.node for c in model.base} | {"demosaicking"}
+    fitted = {
+        name: {f.name: np.asarray(getattr(model.shared[name], f.name)).tolist()
+               for f in dataclasses.fields(model.shared[name])}
+        for name in sorted(names) if name in model.shared
+    }  # fmt: skip
+    stages = [n.name for n in model.chain.nodes if not n.name.startswith("use_")]
+    return {"stages": stages, "fitted": fitted, "absorbed": absorbed}
+
+
+def cause_row(trial: Trial, alike: list[str], scale: float, tried: int, model: Model) -> dict[str, Any]:
+    effect = EFFECTS[trial.effect]
+    params: dict[str, Any] = dict(trial.params)
+    for i, move in () if params else zip(model.indices([trial.effect]), effect.moves):
+        key = move.field + "".join(f"[{n}]" for n in move.index)
+        params[key] = round(float(move.off + trial.z[i]), 5)
+    spread = max((trial.high - trial.low) / 3.29, 1e-6)
+    return {
+        "effect": trial.effect,
+        "site": effect.site,
+        "gap_before": trial.before,
+        "gap_after": trial.after,
+        "closed": trial.closed,
+        "ci": [trial.low, trial.high],
+        "alternatives": alike,
+        "next_measurement": NEXT.get(trial.effect, "more pairs, of scenes that differ") if alike else None,
+        "p_value": _p_value(trial.closed / spread, tried),
+        "params": params,
+    }
+
+
+NEXT = {
+    "vignetting": "a flat field: a white wall, out of focus",
+    "color_shading": "a flat field under one light",
+    "chroma_denoising": "saturated fine texture, and the file's own sampling factors",
+    "luma_denoising": "low-contrast texture (dead leaves) at a low and a high ISO",
+    "optical_blur": "a slanted edge, with the noise spectrum of a flat patch beside it",
+    "sharpening": "a slanted edge at several contrasts",
+    "local_tone_mapping": "a grey patch on a dark and on a bright surround",
+    "veiling_glare": "a black patch with and without a lamp at the border of the frame",
+    "noise_level": "repeated frames of one still scene",
+    "prnu": "repeated frames of a flat field",
+    "hot_pixels": "repeated dark frames",
+    "heavy_tailed_noise": "repeated dark frames",
+}
+
+
+def _p_value(z: float, tried: int) -> float:
+    """One-sided, times the number of effects tried (Bonferroni)."""
+    return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
+
+
+def ranking_rows(
+    causes: Sequence[tuple[Trial, list[str]]],
+    trials: dict[str, Trial],
+    promises: dict[str, float],
+    absorbed: dict[str, float],
+    scale: float,
+) -> list[dict[str, Any]]:
+    accepted = {t.effect: t.closed for t, _ in causes}
+    alike = {name for _, names in causes for name in names}
+    rows = []
+    for name, promise in promises.items():
+        closed = accepted.get(name, trials[name].closed if name in trials else promise / scale)
+        status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
+        rows.append({"effect": name, "closed": float(closed), "status": status})
+    rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
+    return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]

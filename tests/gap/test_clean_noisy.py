@@ -1,0 +1,120 @@
+"""Clean+noisy pairs: cameras that share no code with the package, one that does, and the parts between."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments.withheld.scenes import scenes
+from experiments.withheld.shoot import write
+from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap.clean_noisy import _framed, _laid_under, _split
+from jaxisp.gap.effects import AXES
+from jaxisp.gap.model import build, plain_freedom
+from jaxisp.gap.noisy_base import Camera, noise_freedom, primaries
+from jaxisp.gap.prepare import candidates
+from jaxisp.io.datasets import Loaded
+from jaxisp.io.settings import Settings
+from tests.conftest import smooth_image
+
+COUNT, SIZE = 4, 128
+TRIED = ("vignetting", "optical_blur", "row_noise", "column_noise", "correlated_noise", "film_grain",
+         "heavy_tailed_noise", "color_shading", "sharpening")  # fmt: skip
+
+
+def shot(folder, body, name, level):
+    write(folder, body, {name: level}, "clean+noisy", size=SIZE, count=COUNT)
+    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+
+
+def with_row_noise(folder):
+    """The package's own camera: row noise is sealed in the study, and its pictures are kept for that."""
+    chain, params = Camera(None, "RGGB", "malvar").chain()
+    effects = [e for e in candidates("clean+noisy") if e.name == "row_noise"]
+    shared = params | primaries(np.eye(3), 0.9)
+    model = build(chain, shared, {}, plain_freedom(), effects, keep_file=True)
+    found = scenes("one", SIZE, COUNT)
+    light = jnp.asarray(np.stack(list(found.values())), jnp.float32)
+    z = np.zeros(len(model.coordinates))
+    z[model.indices(["row_noise"])] = 0.012
+    noisy = model.render(z, light, jax.random.split(jax.random.key(9), COUNT))
+    for name, clean, picture in zip(found, light, noisy):
+        encoded = np.where(clean <= 0.0031308, 12.92 * clean, 1.055 * clean ** (1 / 2.4) - 0.055)
+        for ending, a in ((".clean.png", encoded), (".noisy.png", picture)):
+            Image.fromarray(np.rint(255 * np.clip(a, 0, 1)).astype(np.uint8)).save(folder / (name + ending))
+    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    return {
+        "nothing": shot(tmp_path_factory.mktemp("nothing"), "alder", "nothing", 1),
+        "vignetting": shot(tmp_path_factory.mktemp("vignetting"), "alder", "vignetting", 4),
+        "row_noise": with_row_noise(tmp_path_factory.mktemp("row_noise")),
+    }
+
+
+def test_no_effect_is_named_where_none_is_missing(diagnosed):
+    report = diagnosed["nothing"]
+    assert report["verdict"] == "none" and report["causes"] == [] and report["where"] == []
+
+
+def test_the_effect_that_is_missing_is_named(diagnosed):
+    report = diagnosed["vignetting"]
+    assert report["verdict"] == "effect" and report["where"][0]["axis"] == "radius"
+    assert report["causes"][0]["effect"] == "vignetting", [r["effect"] for r in report["ranking"][:4]]
+    assert report["causes"][0]["closed"] > 0.5
+
+
+def test_row_noise_is_seen_on_its_axis(diagnosed):
+    report = diagnosed["row_noise"]
+    assert report["verdict"] != "none"
+    assert "row" in [w["axis"] for w in report["where"][:3]]
+
+
+def test_a_report_keeps_the_contract(diagnosed):
+    for report in diagnosed.values():
+        json.dumps(report, allow_nan=False)
+        assert report["kind"] == "clean+noisy" and report["gap"]["floor"] <= report["gap"]["before"]
+        assert not set(report["pairs"]["fit"]) & set(report["pairs"]["held_out"])
+        assert {w["axis"] for w in report["where"]} <= set(AXES)
+        assert sum(w["share"] for w in report["where"]) == pytest.approx(1 if report["where"] else 0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    camera = Camera(None, "GBRG", "malvar", (2.0, 1.5), late=True)
+    return camera.whole_model(camera.mean_model({}), candidates("clean+noisy"))
+
+
+def test_the_base_may_shrink_its_noise(model):
+    for coordinate in noise_freedom(model.shared):
+        value = float(getattr(model.shared["balanced_noise"], coordinate.move.field))
+        assert -value < coordinate.move.low <= 0 < coordinate.move.high
+
+
+def test_primaries_and_matrix_undo_each_other():
+    matrix = np.array([[1.2, -0.1, -0.1], [0.0, 1.1, -0.1], [0.1, -0.2, 1.1]])
+    found = primaries(matrix, 0.8)
+    np.testing.assert_allclose(found["color_matrix"].matrix @ found["primaries"].matrix, matrix, atol=1e-6)
+    np.testing.assert_allclose(found["primaries"].matrix.sum(1), 1, atol=1e-6)
+
+
+def test_frames_of_a_scene_stay_on_one_side():
+    split = _split(["a.f00", "a.f01", "b.f00", "b.f01", "c"])
+    assert split.fit == (0, 1, 4) and split.held_out == (2, 3)
+    assert _split(["a.f00", "a.f01"]).held_out == (1,)
+
+
+def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
+    scene = np.stack([smooth_image((90, 100), k) for k in range(3)], -1).astype(np.float32)
+    scene += 0.2 * (np.random.default_rng(0).random((90, 100, 1)) > 0.8)
+    picture = np.sqrt(scene)[1:-1, 1:-1]
+    pair = _framed(Loaded("a", picture, None, None, scene, Settings(), False, None))
+    np.testing.assert_array_equal(pair.clean, scene[1:-1, 1:-1])
+    moved = np.roll(picture, (2, -3), (0, 1))
+    laid = _laid_under(scene[1:-1, 1:-1], moved)
+    np.testing.assert_array_equal(laid[8:-8, 8:-8], np.roll(scene[1:-1, 1:-1], (2, -3), (0, 1))[8:-8, 8:-8])

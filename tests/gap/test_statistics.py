@@ -1,0 +1,145 @@
+"""Noise statistics: each answers to the noise it is named after, and not to an error of the mean at edges."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.effects import AXES
+from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
+from jaxisp.gap.noisy_units import axis_of, tolerances, weights
+from jaxisp.gap.statistics import feature_names, features, frames_of
+from tests.gap.scenes import scenes
+
+SCENE = scenes(np.random.default_rng(3), 4, (112, 128))
+N, H, W = SCENE.shape[:3]
+ROW, COLUMN = np.mgrid[:H, :W]
+MASK = jnp.ones((N, H, W), jnp.float32)
+FRAMES = frames_of(["a", "b", "c", "d"])
+MAPS = tuple(normalised_regressors(jnp.asarray(SCENE), MASK, c) for c in range(3))
+
+
+def measured(residual):
+    """(F,) means over the scenes, by name."""
+    found = np.asarray(
+        features(jnp.asarray(SCENE + residual, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES)
+    )
+    assert np.isfinite(found).all()
+    return dict(zip(feature_names(), found.mean(0)))
+
+
+def white(seed=0, size=4.0):
+    return size * np.random.default_rng(seed).normal(size=SCENE.shape)
+
+
+def luma(a):
+    return np.stack([a + np.zeros((N, H, W)), np.zeros((N, H, W)), np.zeros((N, H, W))], -1)
+
+
+PLAIN, AGAIN = measured(white(0)), measured(white(1))
+RNG = np.random.default_rng(7)
+CASES = {
+    "pattern column Y repeats": luma(1.5 * RNG.normal(size=(1, 1, W))),
+    "pattern fixed_pattern Y pixel": luma(2.5 * RNG.normal(size=(1, H, W))),
+    "corr lag Y(0, 1) light": luma(9 * gaussian_filter(RNG.normal(size=(N, H, W)), (0, 0, 1))),
+    "logvar intensity Cb3": 4 * RNG.normal(size=SCENE.shape) * [0, 1, 0],
+    "logvar cfa_phase Y00": luma(4 * RNG.normal(size=(N, H, W)) * ((ROW % 2 == 0) & (COLUMN % 2 == 0))),
+    "mean cfa_phase Y checker": 0.02 * luma(SCENE[..., 0] * ((ROW + COLUMN) % 2 - 0.5)),
+    "mean radius Y gain": luma(-0.2 * SCENE[..., 0] * ((ROW / H - 0.5) ** 2 + (COLUMN / W - 0.5) ** 2)),
+    "mean frequency Y fine": luma(0.5 * (gaussian_filter(SCENE[..., 0], (0, 0.8, 0.8)) - SCENE[..., 0])),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_statistic_answers_to_its_noise(name):
+    """By more than five times the difference that another draw of plain noise makes, or is harmless."""
+    unit = dict(zip(feature_names(), tolerances()))[name]
+    change = abs(measured(white(0) + CASES[name])[name] - PLAIN[name])
+    assert change > 5 * max(abs(AGAIN[name] - PLAIN[name]), 0.5 * unit)
+
+
+@pytest.mark.parametrize("name, added", [
+    ("corr row Y", np.random.default_rng(8).normal(size=(N, H, 1))),
+    ("corr column Y", np.random.default_rng(9).normal(size=(N, 1, W))),
+    ("tail tail high bright", np.where(np.random.default_rng(10).random((N, H, W)) < 2e-3, 60, 0)),
+])  # fmt: skip
+def test_lines_and_impulses_are_seen_in_a_flat_scene(name, added):
+    """Rows of deviation 1 in noise of 4: the mean of half a row has 0.5, so that halves agree by 0.8."""
+    ramp = jnp.asarray(np.broadcast_to(100 + 0.3 * COLUMN[..., None] * [1, 0, 0], (N, H, W, 3)), jnp.float32)
+    maps = tuple(normalised_regressors(ramp, MASK, c) for c in range(3))
+    place = feature_names().index(name)
+    plain, found = (
+        np.asarray(features(ramp + jnp.asarray(r, jnp.float32), ramp, MASK, maps, FRAMES))[:, place].mean()
+        for r in (white(0), white(0) + luma(added))
+    )
+    assert found - plain > 0.4
+    assert name.startswith("tail") or abs(plain) < 0.4  # a Gaussian has tails too
+
+
+def test_lines_do_not_answer_to_the_level_of_white_noise():
+    loud = measured(white(0, 8.0))
+    for name in ("corr row Y", "corr column Y", "corr lag Y(0, 1) light", "logvar frequency Y0"):
+        assert loud[name] == pytest.approx(PLAIN[name], abs=0.03)
+    assert loud["logvar intensity Y3"] == pytest.approx(PLAIN["logvar intensity Y3"] + np.log(4), abs=0.1)
+
+
+def test_an_error_of_the_mean_at_edges_is_no_noise():
+    """Sharpness that is off is seen by the mean, and taken out of what the noise is measured on."""
+    soft = gaussian_filter(SCENE, (0, 0.8, 0.8, 0)) - SCENE
+    found = measured(white(0) + 0.5 * soft)
+    assert abs(found["mean frequency Y fine"] - PLAIN["mean frequency Y fine"]) > 0.3
+    for name in ("corr row Y", "logvar intensity Y3", "logvar frequency Y0", "corr lag Y(0, 1) light"):
+        assert abs(found[name] - PLAIN[name]) < 0.1, name
+
+
+def test_amplitudes_are_root_mean_squares_in_steps():
+    maps = regressors(jnp.asarray(SCENE[0]))
+    channel, plane = maps["neighbourhood detail"]
+    scaled = np.zeros((N, H, W, 3))
+    scaled[0, ..., channel] = np.asarray(plane)
+    amplitude = np.sqrt(np.mean(np.asarray(plane) ** 2))
+    found = features(jnp.asarray(SCENE + scaled, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES)
+    own = np.asarray(found)[0, feature_names().index("mean neighbourhood detail")]
+    assert own == pytest.approx(amplitude, rel=1e-3)
+
+
+def test_tents_sum_to_one():
+    x = jnp.linspace(-20, 300, 41)
+    np.testing.assert_allclose(sum(tents(x, (0.0, 28.0, 100.0, 255.0))), 1, atol=1e-6)
+
+
+def test_names_axes_and_weights():
+    names = feature_names()
+    assert len(set(names)) == len(names) == len(tolerances()) == len(weights())
+    assert {axis_of(n) for n in names} <= set(AXES)
+    assert weights().mean() == pytest.approx(1) and (tolerances() > 0).all()
+
+
+@pytest.mark.parametrize("mask", [0.0, 1.0])
+def test_degenerate_pictures_are_finite(mask):
+    flat = jnp.full((2, 64, 64, 3), 90.0)
+    chosen = jnp.full((2, 64, 64), mask)
+    maps = tuple(normalised_regressors(flat, chosen, c) for c in range(3))
+    assert np.isfinite(np.asarray(features(flat, flat, chosen, maps, frames_of(["a", "b"])))).all()
+
+
+def test_frames_of_one_scene_give_the_noise_without_what_they_share():
+    """A fixed pattern is no noise then, and is looked for between scenes only."""
+    twice = jnp.asarray(np.repeat(SCENE[:2], 2, 0))
+    maps = tuple(normalised_regressors(twice, MASK, c) for c in range(3))
+    frames = frames_of(["a", "a", "b", "b"])
+    shared = np.repeat(20 * RNG.normal(size=(2, H, W, 3)), 2, 0)
+    rows = [
+        dict(
+            zip(
+                feature_names(),
+                np.asarray(features(twice + jnp.asarray(e), twice, MASK, maps, frames)).mean(0),
+            )
+        )
+        for e in (white(0), white(0) + shared)
+    ]
+    for name in ("logvar intensity Y3", "corr lag Y(0, 1) light", "corr row Y"):
+        assert rows[1][name] == pytest.approx(rows[0][name], abs=0.02)
+    assert abs(rows[1]["pattern fixed_pattern Y pixel"]) < 0.03
+    np.testing.assert_array_equal(frames_of(["a", "b"]).average, 0)
+    np.testing.assert_array_equal(frames_of(["a", "a"]).others, [[0, 1], [1, 0]])
