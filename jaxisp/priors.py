@@ -117,6 +117,7 @@ DISTRIBUTIONS: dict[str, type] = {
 
 
 def is_distribution(value: Any) -> bool:
+    """Whether a leaf of a prior is drawn, not a constant."""
     return isinstance(value, Distribution)
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import tomli_w
 from jax.typing import ArrayLike
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write
+from jaxisp.io.files import atomic_write, parse_toml
 from jaxisp.pipeline import Chain, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.selfcheck import check_backend
@@ -103,7 +102,7 @@ class Recipe:
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """Read a recipe. Raises InputError that names `source` and what is wrong."""
         try:
-            table = tomllib.loads(text)
+            table = parse_toml(text, source)
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
                 raise InputError(
@@ -115,8 +114,8 @@ class Recipe:
             chain = Chain(nodes, str(table.get("name", "recipe")))
             params = decode_params(table.get("params", {}), chain)
             return cls(chain, params, str(table.get("description", "")), table.get("meta", {}))
-        except (tomllib.TOMLDecodeError, ValueError) as error:
-            raise InputError(f"{source}: {error}") from None
+        except ValueError as error:
+            raise InputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""

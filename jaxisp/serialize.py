@@ -15,6 +15,7 @@ import numpy as np
 import jaxisp.stages  # noqa: F401  (fills the registry)
 from jaxisp.checks import check_params
 from jaxisp.errors import InputError
+from jaxisp.io.files import short
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
@@ -40,13 +41,15 @@ def encode_node(node: Node) -> Table:
 def decode_node(table: Any) -> Node:
     """The node of a table. Raises InputError where a stage or an option is unknown."""
     if not isinstance(table, dict):
-        raise InputError(f"a stage must be a table like {{stage = 'jpeg'}}, got {table!r}")
+        raise InputError(f"a stage must be a table like {{stage = 'jpeg'}}, got {short(table)}")
     kinds = [k for k in ("stage", "gate", "shuffle", "chain") if k in table]
     unknown = set(table) - {"stage", "gate", "shuffle", "chain", "name", "options"}
     if len(kinds) != 1 or unknown:
         raise InputError(f"a stage must have one of stage, gate, shuffle, chain; got {sorted(table)}")
     try:
         return _DECODERS[kinds[0]](table)
+    except RecursionError:
+        raise InputError("stages nested too deeply") from None
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(str(error.args[0])) from None
 
@@ -83,13 +86,13 @@ def decode_params(tables: Any, node: Node) -> dict[str, Any]:
     """
     tree = node.init()
     if not isinstance(tables, dict):
-        raise InputError(f"params must be tables by stage name, got {tables!r}")
+        raise InputError(f"params must be tables by stage name, got {short(tables)}")
     for name, table in tables.items():
         if name not in tree:
             raise InputError(f"params.{name}: the pipeline has no stage of that name; it has {sorted(tree)}")
         known = specs(type(tree[name]))
         if not isinstance(table, dict) or set(table) - set(known):
-            raise InputError(f"params.{name}: takes {sorted(known)}, got {table!r}")
+            raise InputError(f"params.{name}: takes {sorted(known)}, got {short(table)}")
         read = {field: _decode_leaf(f"{name}.{field}", value) for field, value in table.items()}
         tree[name] = dataclasses.replace(tree[name], **read)
     constants = {n: _constants(v) for n, v in tree.items()}
@@ -121,10 +124,10 @@ def _decode_leaf(path: str, value: Any) -> Any:
         if not all(map(math.isfinite, numbers)):
             raise ValueError("not finite")
         return Choice(tuple(numbers)) if kind == "choice" else DISTRIBUTIONS[kind](*numbers)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):  # a TOML integer may have any size
         kinds = ", ".join(DISTRIBUTIONS)
         raise InputError(
-            f"{path} = {value!r}: give a number, an array, or one of {kinds} with its numbers"
+            f"{path} = {short(value)}: give a number, an array, or one of {kinds} with its numbers"
         ) from None
 
 

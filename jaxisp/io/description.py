@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxisp.cfa import PATTERNS
 from jaxisp.errors import InputError
+from jaxisp.io.files import short
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ def describe(table: Any, source: str) -> RawDescription:
             raise InputError(f"{source}: [raw] has an unknown key {key!r}, expected {', '.join(known)}")
     cfa = table.get("cfa")
     if cfa is not None and cfa not in PATTERNS:
-        raise InputError(f"{source}: [raw] cfa = {cfa!r}, expected one of {', '.join(PATTERNS)}")
+        raise InputError(f"{source}: [raw] cfa = {short(cfa)}, expected one of {', '.join(PATTERNS)}")
     if not isinstance(table.get("white_balanced", False), bool):
         raise InputError(f"{source}: [raw] white_balanced is not true or false")
     white = _numbers(table, "white", (1,), source)
@@ -56,7 +57,8 @@ def _numbers(table: Mapping[str, Any], key: str, sizes: tuple[int, ...], source:
     if key not in table:
         return None
     values = table[key] if isinstance(table[key], list) else [table[key]]
-    fine = all(isinstance(v, (int, float)) and not isinstance(v, bool) and np.isfinite(v) for v in values)
+    # beyond 1e30 a float32 overflows; a TOML integer may have any number of digits
+    fine = all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < 1e30 for v in values)
     if not fine or len(values) not in sizes:
         raise InputError(f"{source}: [raw] {key} is not {' or '.join(map(str, sizes))} numbers")
     return np.array(values, np.float64)

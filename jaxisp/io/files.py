@@ -1,9 +1,12 @@
 """Files on disk: checks before reading, whole-or-nothing writing, finding images, reading TOML."""
 
 import contextlib
+import fcntl
 import os
 import secrets
+import tempfile
 import tomllib
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -12,6 +15,13 @@ import numpy as np
 
 from jaxisp.errors import InputError
 
+MOST_PIXELS = 1 << 28
+"""Of a picture; phones make 200 million."""
+FREE_PIXELS = 1 << 24
+"""Pictures up to this many pixels are read however small their files are."""
+MOST_TOML = 16 << 20
+"""Bytes: a larger TOML file is not read."""
+MOST_NESTED = 100
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 
 PathLike = str | os.PathLike[str]
@@ -48,26 +58,79 @@ def read_bytes(path: PathLike) -> bytes:
 def read_toml(path: PathLike) -> dict[str, Any]:
     """A TOML file as a dict; InputError with the file and the line where it is not valid."""
     path = Path(path)
-    text = ""
     try:
-        text = path.read_text(encoding="utf-8")
-        return tomllib.loads(text)
+        if path.stat().st_size > MOST_TOML:
+            raise InputError(f"{path}: is larger than {MOST_TOML >> 20} MiB, which no TOML file of ours is")
+        return parse_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """TOML from anybody as a dict; InputError that begins with `name` where it is not valid or too deep."""
+    try:
+        table = tomllib.loads(text)
+        _check_depth(table, name)
+        return table
+    except InputError:
+        raise
+    except RecursionError:  # not chained: its trace is as deep
+        raise InputError(f"{name}: is not valid TOML: nested too deeply") from None
+    except ValueError as error:  # tomllib's own, and dates and numbers that Python does not have
         message = str(error).replace("at end of document", f"at line {len(text.splitlines())}, the last")
-        raise InputError(f"{path}: is not valid TOML: {message}") from error
+        raise InputError(f"{name}: is not valid TOML: {' '.join(message.split())}") from error
+
+
+def short(value: Any) -> str:
+    """A value from a file as it may stand in one line of an error."""
+    try:
+        text = repr(value)
+    except RecursionError:
+        text = "tables nested too deeply"
+    return text if len(text) < 120 else text[:120] + "..."
+
+
+def _check_depth(table: Any, name: str) -> None:
+    """Dotted keys nest without end and without recursion; what walks the tables afterwards recurses."""
+    level = [table]
+    for _ in range(MOST_NESTED):
+        inner = [v.values() if isinstance(v, dict) else v for v in level if isinstance(v, dict | list)]
+        level = [value for values in inner for value in values]
+        if not level:
+            return
+    raise InputError(f"{name}: is not valid TOML: nested more than {MOST_NESTED} deep")
 
 
 def load_npy(path: PathLike) -> np.ndarray:
     """The array of a `.npy` file that is no larger than the file says; never unpickles."""
     path = check_file(path)
     try:
-        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
-    except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's note on headers of Python 2
+            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+    except Exception as error:  # its header is parsed as Python, which fails in many ways
         raise InputError(f"{path}: is a damaged or truncated NumPy file ({_one_line(error)})") from error
+
+
+def check_pixels(width: int, height: int, size: int, name: str, *, bytes_each: int = 3) -> None:
+    """Refuse a picture that a file of `size` bytes cannot hold, before memory is taken for it.
+
+    Raises:
+        InputError: no pixels, more than any camera makes, or, above 16 megapixels, more than 400 bytes
+            of pixels for each of the file's: photographs stay below 150, decompression bombs are near 1000.
+    """
+    pixels = width * height
+    if min(width, height) < 1 or max(width, height) > 65535 or pixels > MOST_PIXELS:
+        raise InputError(
+            f"{name}: says it is {width} x {height} pixels, which no camera makes; it is damaged"
+        )
+    if pixels > FREE_PIXELS and pixels * bytes_each > 400 * size:
+        raise InputError(
+            f"{name}: says it is {width} x {height} pixels, which a photograph of {size} bytes is not; "
+            "it is damaged, or made to fill the memory"
+        )
 
 
 @contextlib.contextmanager
@@ -75,28 +138,96 @@ def atomic_write(path: PathLike) -> Iterator[IO[bytes]]:
     """A binary file that takes its name only once it is whole.
 
     The bytes go to a temporary file in the same folder, which is flushed to the disk and then
-    renamed. On any error it is removed, and what stood under the name before still stands.
+    renamed. On any error it is removed, and what stood under the name before still stands. What a
+    killed process left of it is used again.
 
     Raises:
         InputError: the folder does not exist, cannot be written, or is full.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary: Path | None = None
     try:
-        with temporary.open("xb") as file:
+        temporary, file = _temporary(path)
+        with file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+            os.replace(temporary, path)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        if error.filename not in (None, str(temporary)):  # the caller's own trouble with another file
-            raise
+        _remove(temporary)
+        ours = str(path.with_name(f".{path.name}."))
+        if error.filename is not None and not str(error.filename).startswith(ours):
+            raise  # the caller's own trouble with another file
         raise InputError(f"{path}: cannot be written: {reason(error)}") from error
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        _remove(temporary)
         raise
+
+
+def _temporary(path: Path) -> tuple[Path, IO[bytes]]:
+    """`.NAME.tmp`, empty and locked; where it is another's, or cannot be locked, a name of its own."""
+    usual = path.with_name(f".{path.name}.tmp")
+    with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+        file = stack.enter_context(open(usual, "r+b", opener=_make_or_open))
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(file.fileno()), usual.stat()):  # not renamed by its writer meanwhile
+            file.truncate(0)
+            stack.pop_all()
+            return usual, file
+    own = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    return own, own.open("xb")
+
+
+def _make_or_open(path: str, flags: int) -> int:
+    """Without emptying it, and no link that somebody put there."""
+    return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+
+
+def _remove(path: Path | None) -> None:
+    if path is not None:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def locked(folder: PathLike, *, name: str = ".lock", shared: bool = False) -> Iterator[None]:
+    """Make a folder and keep others out of it; the system frees the lock when the process dies.
+
+    Args:
+        folder: made where it is missing.
+        name: of the lock file in it.
+        shared: with others that share it, not with one that wants it alone.
+
+    Raises:
+        InputError: another process holds it, or the folder cannot be written.
+    """
+    path = output_folder(folder) / name
+    with _lock_file(path, fcntl.LOCK_SH if shared else fcntl.LOCK_EX):
+        try:
+            yield
+        finally:
+            if not shared:  # another that shares it may still hold this very file
+                _remove(path)
+
+
+def _lock_file(path: Path, kind: int) -> IO[bytes]:
+    """A file that is locked and still has its name: its holder before may have removed it meanwhile."""
+    while True:
+        try:
+            file = path.open("wb")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {reason(error)}") from error
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.close()
+            raise InputError(f"{path.parent}: another process is writing into this folder") from error
+        except OSError:  # a file system without locks: each file is still whole
+            return file
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                return file
+        file.close()
 
 
 def output_folder(path: PathLike) -> Path:
@@ -104,9 +235,8 @@ def output_folder(path: PathLike) -> Path:
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / f".{secrets.token_hex(4)}.tmp"
-        probe.touch(exist_ok=False)
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
+            pass
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {reason(error)}") from error
     return path
@@ -162,7 +292,7 @@ def is_image(path: PathLike) -> bool:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    return " ".join(str(error).split())[:200]
 
 
 def _hidden(path: Path) -> bool:

@@ -12,8 +12,16 @@ from PIL import Image
 
 from jaxisp.checks import check_finite
 from jaxisp.errors import InputError
-from jaxisp.io.files import IMAGE_SUFFIXES, PathLike, atomic_write, check_file, load_npy, read_bytes
-from jaxisp.io.jpeg import decode_jpeg, orientation_of, profile_to_srgb, to_bytes
+from jaxisp.io.files import (
+    IMAGE_SUFFIXES,
+    PathLike,
+    atomic_write,
+    check_file,
+    check_pixels,
+    load_npy,
+    read_bytes,
+)
+from jaxisp.io.jpeg import decode_jpeg, orientation_of, profile_to_srgb, to_bytes, why_not
 from jaxisp.io.orientation import orient
 from jaxisp.io.tags import quiet_tifffile
 
@@ -77,8 +85,11 @@ def _read_pillow(path: Path, data: bytes, kind: str) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             picture = Image.open(io.BytesIO(data), formats=(kind,))
+            check_pixels(*picture.size, len(data), str(path))
             picture.load()
             orientation = orientation_of(picture.getexif())
+    except InputError:
+        raise
     except Image.DecompressionBombError as error:
         raise InputError(f"{path}: says it is larger than any camera's picture; it is damaged") from error
     except (
@@ -91,7 +102,7 @@ def _read_pillow(path: Path, data: bytes, kind: str) -> np.ndarray:
         KeyError,
         TypeError,
     ) as error:
-        raise InputError(f"{path}: is a damaged or truncated {kind} ({error})") from error
+        raise InputError(f"{path}: is a damaged or truncated {kind} ({why_not(error)})") from error
     pixels = _rgb(picture, path)
     icc = picture.info.get("icc_profile")
     if icc:
@@ -118,7 +129,14 @@ def _read_tiff(path: Path, data: bytes) -> np.ndarray:
             kind, bits, samples = page.dtype, page.bitspersample, page.samplesperpixel
             photometric, deep = int(page.photometric), page.dtype is not None and page.dtype.itemsize > 1
             orientation = int(page.tags[274].value) if 274 in page.tags else 1
-            pixels = page.asarray() if deep and photometric == 2 and samples == 3 else None
+            wanted = deep and photometric == 2 and samples == 3 and len(page.shape) == 3
+            if wanted:
+                check_pixels(
+                    page.imagewidth, page.imagelength, len(data), str(path), bytes_each=3 * kind.itemsize
+                )
+            pixels = page.asarray() if wanted else None
+    except InputError:
+        raise
     except Exception as error:  # a parser on arbitrary bytes: any error means the same
         raise InputError(
             f"{path}: is a damaged or truncated TIFF, or compressed in a way not read here"
@@ -131,6 +149,8 @@ def _read_tiff(path: Path, data: bytes) -> np.ndarray:
         )
     if page.planarconfig == 2:
         pixels = np.moveaxis(pixels, 0, -1)
+    if pixels.shape[-1] != 3 or 0 in pixels.shape:
+        raise InputError(f"{path}: is a TIFF of shape {pixels.shape}, expected (H, W, 3)")
     scaled = _to_unit(pixels, path, str(kind))
     return np.ascontiguousarray(orient(scaled, orientation if 1 <= orientation <= 8 else 1))
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, UnidentifiedImageError
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import PathLike, atomic_write, read_bytes
+from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.orientation import orient
 from jaxisp.jpeg_tables import quality_tables
 
@@ -146,6 +146,7 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     except (ValueError, struct.error) as error:
         raise InputError(f"{name}: is a damaged or truncated JPEG ({error})") from error
     _check_frame(frame, name)
+    check_pixels(frame.width, frame.height, len(data), name)
     picture, pixels = _decode(data, name)
     icc = picture.info.get("icc_profile")
     converted = False
@@ -185,15 +186,20 @@ def _decode(data: bytes, name: str) -> tuple[Any, np.ndarray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's notes on odd EXIF and on large pictures
-            picture = Image.open(io.BytesIO(data), formats=("JPEG", "MPO"))
+            picture = Image.open(io.BytesIO(data), formats=("JPEG",))  # MPO too
             picture.load()
     except Image.DecompressionBombError as error:
         raise InputError(f"{name}: says it is larger than any camera's picture; it is damaged") from error
     except (OSError, ValueError, SyntaxError, struct.error, MemoryError) as error:
-        raise InputError(f"{name}: is a damaged or truncated JPEG ({error})") from error
+        raise InputError(f"{name}: is a damaged or truncated JPEG ({why_not(error)})") from error
     if picture.mode != "RGB":
         raise InputError(f"{name}: is a {picture.mode} JPEG, expected RGB")
     return picture, np.asarray(picture)
+
+
+def why_not(error: Exception) -> str:
+    """What Pillow says, without the address of the object that it was given."""
+    return "its header cannot be read" if isinstance(error, UnidentifiedImageError) else str(error)
 
 
 def _tables(picture: Any, name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -3,12 +3,14 @@
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from jaxisp.errors import InputError
 
 _WARP_RECTILINEAR, _FIX_VIGNETTE_RADIAL, _GAIN_MAP = 1, 3, 9
+_MOST_OPCODES, _MOST_POINTS = 256, 1024  # of a list, of a map along one axis: far above what cameras write
 _GAIN_MAP_HEAD = struct.Struct(">10L4dL")
 
 
@@ -68,6 +70,8 @@ def parse_opcodes(data: bytes, name: str = "opcode list") -> list[Opcode]:
     found: list[Opcode] = []
     try:
         (count,) = struct.unpack_from(">L", data, 0)
+        if count > _MOST_OPCODES:
+            raise ValueError(f"{count} opcodes")
         at = 4
         for _ in range(count):
             kind, _version, _flags, size = struct.unpack_from(">4L", data, at)
@@ -123,13 +127,13 @@ def _parse_gain_map(body: bytes) -> GainMap:
     top, left, bottom, right, plane, planes, row_pitch, column_pitch, points_v, points_h = head[:10]
     map_planes = head[14]
     count = points_v * points_h * map_planes
-    if not (0 < count <= len(body) // 4) or not (row_pitch and column_pitch):
+    fits = 0 < count <= len(body) // 4 and max(points_v, points_h) <= _MOST_POINTS
+    if not fits or not (row_pitch and column_pitch):
         raise ValueError(
             f"GainMap of {points_v}x{points_h}x{map_planes} points, pitch {row_pitch}, {column_pitch}"
         )
     gains = np.frombuffer(body, ">f4", count, _GAIN_MAP_HEAD.size).astype(np.float32)
-    if not np.isfinite(gains).all():
-        raise ValueError("GainMap holds NaN or infinity")
+    _check_finite(np.concatenate([gains, head[10:14]]))
     return GainMap(
         gains.reshape(points_v, points_h, map_planes),
         (top, left, bottom, right),
@@ -146,12 +150,19 @@ def _parse_warp(body: bytes) -> WarpRectilinear:
     if not 1 <= planes <= 4:
         raise ValueError(f"WarpRectilinear of {planes} planes")
     values = struct.unpack_from(f">{6 * planes + 2}d", body, 4)
+    _check_finite(values)
     return WarpRectilinear(np.array(values[:-2]).reshape(planes, 6), (values[-2], values[-1]))
 
 
 def _parse_vignette(body: bytes) -> FixVignetteRadial:
     values = struct.unpack_from(">7d", body)
+    _check_finite(values)
     return FixVignetteRadial(np.array(values[:5]), (values[5], values[6]))
+
+
+def _check_finite(values: Any) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError("NaN or infinity")
 
 
 _PARSERS: dict[int, Callable[[bytes], Opcode]] = {

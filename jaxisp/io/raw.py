@@ -21,7 +21,7 @@ from jaxisp.io.calibration import (
     white_xy,
 )
 from jaxisp.io.description import RawDescription, describe
-from jaxisp.io.files import PathLike, check_file, load_npy, read_toml
+from jaxisp.io.files import PathLike, check_file, check_pixels, load_npy, read_toml
 from jaxisp.io.jpeg import frame_header
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain
 
@@ -87,6 +87,7 @@ class Raw:
         return shading_gain(self.gain_map, (bottom - top, right - left))[y : y + height, x : x + width]
 
 
+@np.errstate(all="ignore")  # a damaged file's numbers may overflow: what comes of them is checked
 def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
     """Read a RAW file, or a mosaic in `NAME.raw.npy`.
 
@@ -166,7 +167,7 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with rawpy.imread(str(path)) as raw:
             yield raw
-    except (rawpy.LibRawError, rawpy.NotSupportedError, MemoryError) as error:
+    except (rawpy.LibRawError, rawpy.NotSupportedError, NotImplementedError, MemoryError) as error:
         text = error.args[0] if error.args else type(error).__name__
         text = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
         raise InputError(f"{path}: LibRaw cannot read it: {text.lower()}") from error
@@ -174,6 +175,8 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _check_bayer(raw: Any, path: Path) -> str:
     """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
+    sizes = raw.sizes
+    check_pixels(sizes.raw_width, sizes.raw_height, path.stat().st_size, str(path), bytes_each=2)
     if raw.num_colors == 1:
         raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
     if raw.raw_type != rawpy.RawType.Flat or raw.raw_image is None:
@@ -197,14 +200,14 @@ def _read_dng(path: Path, tags: dng.DngTags, description: RawDescription) -> Raw
     crop = dng.default_crop(tags, active, path)
     with _opened(path) as raw:
         _check_bayer(raw, path)
-        if raw.raw_image.shape != (int(tags.raw[dng.HEIGHT]), int(tags.raw[dng.WIDTH])):
+        if raw.raw_image.shape != (tags.raw[dng.HEIGHT], tags.raw[dng.WIDTH]):
             raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
         levels = _cut(raw.raw_image[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
         as_shot = _gains(raw.camera_whitebalance)
     calibration = tags.calibration()
     neutral = dng.neutral(tags, calibration, as_shot)
-    pattern = "".join("RGB"[i] for i in bytes(tags.raw[dng.CFA_PATTERN]))
-    bits = int(np.atleast_1d(tags.raw.get(dng.BITS, 16))[0])
+    pattern = "".join("RGB"[i] for i in tags.raw[dng.CFA_PATTERN])
+    bits = tags.raw.get(dng.BITS, 16)
     raw_picture = Raw(
         path=path,
         mosaic=levels,
@@ -220,11 +223,16 @@ def _read_dng(path: Path, tags: dng.DngTags, description: RawDescription) -> Raw
         **dng.header(tags),
     )
     if calibration is not None:
+        try:
+            matrix, to_srgb = (
+                calibration.at(white_xy(calibration, neutral))[0],
+                camera_to_srgb(calibration, neutral),
+            )
+        except np.linalg.LinAlgError as error:
+            raise InputError(f"{path}: has colour matrices that cannot be inverted") from error
+        check_finite(f"{path}: its colour matrix", to_srgb)
         raw_picture = replace(
-            raw_picture,
-            calibration=calibration,
-            xyz_to_camera=calibration.at(white_xy(calibration, neutral))[0],
-            camera_to_srgb=camera_to_srgb(calibration, neutral),
+            raw_picture, calibration=calibration, xyz_to_camera=matrix, camera_to_srgb=to_srgb
         )
     return _finish(raw_picture, description)
 
@@ -302,16 +310,16 @@ def _finish(raw: Raw, description: RawDescription) -> Raw:
     if description.black is not None:
         black = np.broadcast_to(description.black, 4).reshape(2, 2).astype(np.float32)
     white = raw.white if description.white is None else description.white
-    if not black.max() < white:
+    if not black.max() < np.float32(white):
         raise InputError(
             f"{raw.path}: has a white level of {white:g} that is not above its black of {black.max():g}"
         )
     out = raw.mosaic
-    check_finite(str(raw.path), out)
     for y in (0, 1):
         for x in (0, 1):
             level = black[y::2, x::2]
             out[y::2, x::2] = (out[y::2, x::2] - level) / (np.float32(white) - level)
+    check_finite(str(raw.path), out)
     balance = raw.white_balance if description.white_balance is None else description.white_balance
     return replace(
         raw,

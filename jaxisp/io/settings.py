@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxisp.errors import InputError
 from jaxisp.io.description import RawDescription, describe
-from jaxisp.io.files import read_toml
+from jaxisp.io.files import read_toml, short
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _check(table: dict[str, Any], where: str) -> None:
             raise InputError(f"{where}unknown key {key!r}, expected {', '.join(_CHECKS)}")
         fine, wanted = _CHECKS[key]
         if not fine(value):
-            raise InputError(f"{where}{key} = {value!r}, expected {wanted}")
+            raise InputError(f"{where}{key} = {short(value)}, expected {wanted}")
 
 
 def _stems(key: str, table: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -12,11 +12,11 @@ import tifffile
 
 from jaxisp.errors import InputError
 from jaxisp.io.calibration import Calibration, neutral_of, usable
+from jaxisp.io.files import check_pixels
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, parse_opcodes
 
 CFA, _LINEAR_RAW = 32803, 34892
 _JPEG_XL = 52546
-_MAX_PIXELS = 1 << 29
 
 # Tag numbers (TIFF 6, EXIF 2.3, DNG 1.4)
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
@@ -37,6 +37,12 @@ _WANTED = {
     BASELINE_EXPOSURE, ILLUMINANT_1, ILLUMINANT_2, ACTIVE_AREA, FORWARD_1, FORWARD_2, OPCODES_2, OPCODES_3,
     NOISE_PROFILE,
 }  # fmt: skip
+
+_SINGLE = {
+    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, ORIENTATION, SAMPLES, SAMPLE_FORMAT,
+}  # fmt: skip
+"""Tags of one whole number, or of one a sample that are all the same."""
+_MOST_VALUES = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,6 @@ class DngTags:
         value = self.get(code)
         if value is None:
             return None if default is None else np.atleast_1d(np.asarray(default, np.float64))
-        if isinstance(value, bytes):
-            return np.frombuffer(value, np.uint8).astype(np.float64)
         return np.atleast_1d(np.asarray(value, np.float64)).ravel()
 
     def number(self, code: int, default: float | None = None) -> float | None:
@@ -134,17 +138,37 @@ def _walk(pages: Any) -> Iterator[Any]:
 
 
 def _value(tag: Any) -> Any:
-    """The value; rationals are divided out."""
+    """The value in the type that its tag has by the standard; rationals are divided out.
+
+    Raises:
+        ValueError: it is of another type, which only a damaged file has.
+    """
+    if tag.count > _MOST_VALUES:
+        raise ValueError(f"{tag.count} values")
+    value = tag.value
+    if tag.code in (MAKE, MODEL):
+        return value if isinstance(value, str) else ""
+    if tag.code == EXIF:
+        return value if isinstance(value, dict) else {}
+    if tag.code in (CFA_PATTERN, PLANE_COLOR, OPCODES_2, OPCODES_3, DNG_VERSION):
+        return value if isinstance(value, bytes) else bytes(np.atleast_1d(value).tolist())
+    if isinstance(value, bytes):
+        value = np.frombuffer(value, np.uint8)
+    numbers = np.atleast_1d(np.asarray(value, np.float64)).ravel()
     if tag.dtype in (5, 10):
-        pairs = np.asarray(tag.value, np.float64).reshape(-1, 2)
-        return np.divide(pairs[:, 0], pairs[:, 1], out=np.full(len(pairs), np.nan), where=pairs[:, 1] != 0)
-    return tag.value
+        top, bottom = numbers[0::2], numbers[1::2]
+        numbers = np.divide(top, bottom, out=np.full(len(bottom), np.nan), where=bottom != 0)
+    if tag.code not in _SINGLE:
+        return numbers
+    if not (numbers.size and 0 <= numbers[0] < 1 << 32):
+        raise ValueError("no whole number")
+    return int(numbers[0])
 
 
 def _rawness(tags: dict[int, Any]) -> tuple[bool, bool, int]:
     """Orders directories: RAW pixels before others, full resolution before reduced, then the larger."""
     is_raw = tags.get(PHOTOMETRIC) in (CFA, _LINEAR_RAW)
-    return is_raw, tags.get(SUBFILE, 0) == 0, int(tags.get(WIDTH, 0)) * int(tags.get(HEIGHT, 0))
+    return is_raw, tags.get(SUBFILE, 0) == 0, tags.get(WIDTH, 0) * tags.get(HEIGHT, 0)
 
 
 def check_dng(tags: DngTags, path: Path) -> None:
@@ -158,13 +182,13 @@ def check_dng(tags: DngTags, path: Path) -> None:
     if kind != CFA:
         raise InputError(f"{path}: holds no RAW pixels, expected a DNG with a Bayer mosaic")
     _check_size(raw, path)
-    pattern = bytes(raw.get(CFA_PATTERN, b""))
+    pattern = raw.get(CFA_PATTERN, b"")
     if tuple(raw.get(CFA_DIM, ())) != (2, 2) or sorted(pattern) != [0, 1, 1, 2]:
-        dims = "x".join(map(str, raw.get(CFA_DIM, ()))) or "unknown"
+        dims = "x".join(f"{n:g}" for n in raw.get(CFA_DIM, ())) or "unknown"
         raise InputError(f"{path}: has a colour filter array that is not Bayer ({dims} cell)")
-    if bytes(raw.get(PLANE_COLOR, b"\0\1\2")) != b"\0\1\2":
+    if raw.get(PLANE_COLOR, b"\0\1\2") != b"\0\1\2":
         raise InputError(f"{path}: has a colour filter array that is not red, green and blue")
-    if np.atleast_1d(raw.get(SAMPLE_FORMAT, 1))[0] == 3:
+    if raw.get(SAMPLE_FORMAT) == 3:
         raise InputError(f"{path}: holds floating-point RAW pixels, expected integers")
     if raw.get(COMPRESSION) == _JPEG_XL:
         raise InputError(
@@ -174,25 +198,24 @@ def check_dng(tags: DngTags, path: Path) -> None:
 
 
 def _check_size(raw: dict[int, Any], path: Path) -> None:
-    width, height = int(raw.get(WIDTH, 0)), int(raw.get(HEIGHT, 0))
-    if min(width, height) < 2 or max(width, height) > 65535 or width * height > _MAX_PIXELS:
-        raise InputError(
-            f"{path}: says it is {width} x {height} pixels, which no camera makes; it is damaged"
-        )
+    width, height = raw.get(WIDTH, 0), raw.get(HEIGHT, 0)
+    check_pixels(width, height, path.stat().st_size, str(path), bytes_each=2)
+    if min(width, height) < 2:
+        raise InputError(f"{path}: says it is {width} x {height} pixels; it is damaged")
 
 
 def _check_whole(raw: dict[int, Any], path: Path) -> None:
     """LibRaw leaves missing rows black without a word: so compare the file's size with what it says."""
     tiled = TILE_OFFSETS in raw
-    offsets = np.atleast_1d(raw.get(TILE_OFFSETS if tiled else STRIP_OFFSETS, ()))
-    counts = np.atleast_1d(raw.get(TILE_COUNTS if tiled else STRIP_COUNTS, ()))
+    none = np.zeros(0)
+    offsets = raw.get(TILE_OFFSETS if tiled else STRIP_OFFSETS, none)
+    counts = raw.get(TILE_COUNTS if tiled else STRIP_COUNTS, none)
     if not offsets.size or offsets.shape != counts.shape:
         raise InputError(f"{path}: is damaged (no strips or tiles of RAW pixels)")
     needed, size = int((offsets.astype(np.int64) + counts.astype(np.int64)).max()), path.stat().st_size
     if needed > size:
         raise InputError(f"{path}: is truncated: {size} bytes of at least {needed}")
-    pixels = int(raw[WIDTH]) * int(raw[HEIGHT])
-    bits = int(np.atleast_1d(raw.get(BITS, 16))[0])
+    pixels, bits = raw[WIDTH] * raw[HEIGHT], raw.get(BITS, 16)
     if raw.get(COMPRESSION, 1) == 1 and int(counts.sum()) * 8 < pixels * bits:
         raise InputError(
             f"{path}: is damaged: {int(counts.sum())} bytes of RAW pixels for {pixels} of {bits} bits"
@@ -201,7 +224,7 @@ def _check_whole(raw: dict[int, Any], path: Path) -> None:
 
 def active_area(tags: DngTags, path: Path) -> tuple[int, int, int, int]:
     """Top, left, bottom, right of the pixels that see light, in the whole frame."""
-    height, width = int(tags.raw[HEIGHT]), int(tags.raw[WIDTH])
+    height, width = tags.raw[HEIGHT], tags.raw[WIDTH]
     area = tags.numbers(ACTIVE_AREA, (0, 0, height, width))
     if area is None or area.size != 4 or not np.isfinite(area).all():
         raise InputError(f"{path}: has a damaged ActiveArea")
@@ -261,7 +284,7 @@ def noise_profile(tags: DngTags) -> np.ndarray | None:
 def lens(tags: DngTags, path: Path) -> dict[str, Any]:
     """Gain maps, warp and vignetting of the opcode lists."""
     before, after = (
-        parse_opcodes(bytes(tags.get(code) or b"\0\0\0\0"), str(path)) for code in (OPCODES_2, OPCODES_3)
+        parse_opcodes(tags.get(code) or b"\0\0\0\0", str(path)) for code in (OPCODES_2, OPCODES_3)
     )
     return {
         "gain_map": tuple(o for o in before if isinstance(o, GainMap)) or None,
@@ -284,7 +307,7 @@ def neutral(tags: DngTags, calibration: Calibration | None, as_shot: np.ndarray)
 
 def header(tags: DngTags) -> dict[str, Any]:
     """What any TIFF-like RAW states in its first directory."""
-    orientation = int(tags.main.get(ORIENTATION, 1))
+    orientation = tags.main.get(ORIENTATION, 1)
     return {
         "orientation": orientation if 1 <= orientation <= 8 else 1,
         "iso": tags.number(ISO) or tags.exif("ISOSpeedRatings") or tags.exif("PhotographicSensitivity"),

@@ -162,3 +162,20 @@ def test_io_imports_no_jax_itself():
         assert not [line for line in lines if line.split()[:2] in (["import", "jax"], ["from", "jax"])], (
             module
         )
+
+
+def test_what_a_killed_writer_left_is_used_again_and_another_writer_is_not_disturbed(tmp_path):
+    path = tmp_path / "a.bin"
+    (tmp_path / ".a.bin.tmp").write_bytes(b"left by a process that was killed, and longer")
+    with atomic_write(path) as file:
+        file.write(b"one")
+        with atomic_write(path) as second:  # as another process would
+            second.write(b"two")
+        assert path.read_bytes() == b"two"
+        file.seek(0)
+        file.write(b"ONE")
+    assert path.read_bytes() == b"ONE" and [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+    (tmp_path / ".a.bin.tmp").symlink_to(tmp_path / "elsewhere")
+    with atomic_write(path) as file:
+        file.write(b"three")
+    assert path.read_bytes() == b"three" and not (tmp_path / "elsewhere").exists()

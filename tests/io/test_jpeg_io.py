@@ -132,7 +132,7 @@ def test_refused():
     refused(b"\x89PNG\r\n\x1a\n", "not a JPEG")
     huge = bytearray(saved(Image.fromarray(PICTURE)))
     huge[at + 5 : at + 9] = b"\xff\xdc\xff\xdc"
-    refused(bytes(huge), "larger than any camera")
+    refused(bytes(huge), "which no camera makes")
 
 
 def test_missing_and_empty(tmp_path):

@@ -1,0 +1,1 @@
+"""Abuse: damaged files, processes killed at random moments, full disks. Figures in docs/results/abuse.md."""

@@ -1,0 +1,147 @@
+"""Small sound files, by kind of reader: what the fuzzer starts from."""
+
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from PIL import Image, ImageCms
+
+from jaxisp.io import FixVignetteRadial, GainMap, WarpRectilinear, write_dng
+from jaxisp.io.jpeg import encode_jpeg
+from jaxisp.io.opcodes import pack_opcodes
+from jaxisp.recipes import RECIPES
+from jaxisp.train import TrainConfig
+
+_MATRIX = np.array([[0.6461, -0.1164, -0.0857], [-0.3825, 1.1597, 0.2534], [-0.0416, 0.154, 0.6039]])
+_DATASET = """camera = "Phone"
+iso = 100
+clean_encoding = "srgb"
+[raw]
+cfa = "GRBG"
+black = [64, 65, 66, 70]
+white = 1023.0
+white_balance = [2.0, 1.0, 1.5]
+[jpeg]
+cropped = true
+[a]
+iso = 800
+[a.raw]
+black = 0.1
+["a.f01"]
+iso = 50
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Seed:
+    """A file that its reader accepts."""
+
+    kind: str  # of reader: see targets.READERS
+    suffix: str
+    data: bytes
+
+
+def all_seeds(folder: Path) -> list[Seed]:
+    """The seeds; `folder` is for files that are written on the way."""
+    return [*_raws(folder), *_jpegs(), *_pictures(), *_arrays(), *_tomls()]
+
+
+def _pixels(height: int = 26, width: int = 38) -> np.ndarray:
+    y, x = np.mgrid[:height, :width]
+    waves = np.stack([128 + 100 * np.sin(x / (3 + c) + y / 5) for c in range(3)], -1)
+    return np.clip(waves + np.random.default_rng(0).normal(0, 6, waves.shape), 0, 255).astype(np.uint8)
+
+
+def _mosaic(height: int = 26, width: int = 38) -> np.ndarray:
+    ramp = np.linspace(60, 1000, width)[None] + np.random.default_rng(1).normal(0, 10, (height, width))
+    return np.clip(ramp, 40, 1023).astype(np.uint16)
+
+
+def _raws(folder: Path) -> list[Seed]:
+    gains = GainMap(np.ones((3, 4, 1), np.float32) * 1.5, (0, 0, 26, 38), (2, 2), (0.0, 0.0), (0.5, 0.33))
+    lens = [FixVignetteRadial(np.full(5, 0.1), (0.5, 0.5)), WarpRectilinear(np.ones((3, 6)), (0.5, 0.5))]
+    common = {"cfa": "RGGB", "black": (64, 65, 66, 70), "white": 1023, "color_matrix": _MATRIX}
+    rich = {
+        "noise_profile": np.array([[1e-3, 1e-6]]), "gain_map": [gains], "opcodes_3": lens,
+        "active_area": (2, 2, 24, 36), "crop": (2, 2, 16, 30), "orientation": 6, "iso": 800,
+    }  # fmt: skip
+    found = []
+    for name, options in (("plain", {}), ("rich", rich), ("preview", {"preview": encode_jpeg(_pixels())})):
+        path = write_dng(folder / f"{name}.dng", _mosaic(), **common, **options)
+        found += [Seed("raw", ".dng", path.read_bytes()), Seed("raw", ".nef", path.read_bytes())]
+    return [*found, Seed("raw", ".dng", _lossless(folder)), Seed("opcodes", "", pack_opcodes([gains, *lens]))]
+
+
+def _lossless(folder: Path) -> bytes:
+    """A DNG compressed as cameras do: lossless JPEG (1992), which LibRaw decodes itself."""
+    import imagecodecs
+
+    mosaic = _mosaic(32, 64)
+    tags = [
+        (33421, 3, 2, (2, 2), True), (33422, 1, 4, b"\0\1\1\2", True), (50706, 1, 4, b"\1\4\0\0", True),
+        (50717, 4, 1, 1023, True),
+        (50721, 10, 9, tuple(v for m in _MATRIX.ravel() for v in (int(1e4 * m), 10000)), True),
+    ]  # fmt: skip
+    with tifffile.TiffWriter(folder / "lossless.dng") as tif:
+        tif.write(
+            iter([imagecodecs.ljpeg_encode(mosaic, bitspersample=16)]), shape=mosaic.shape, dtype=np.uint16,
+            compression=7, photometric=32803, rowsperstrip=len(mosaic), metadata=None, extratags=tags,
+        )  # fmt: skip
+    return (folder / "lossless.dng").read_bytes()
+
+
+def _jpegs() -> list[Seed]:
+    pixels = _pixels()
+    odd = (
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
+        .tobytes()
+        .replace(b"s\0R\0G\0B", b"x\0R\0G\0B")
+    )
+    files = [
+        encode_jpeg(pixels, 90, "4:2:0", orientation=6, iso=400, make="A", model="B"),
+        encode_jpeg(pixels, 30, "4:4:4"),
+        _saved(pixels, "JPEG", progressive=True, quality=70),
+        _saved(pixels, "JPEG", icc_profile=odd, subsampling=1, restart_marker_blocks=2),
+        _saved(pixels, "JPEG", optimize=True),
+        _saved(pixels, "MPO", save_all=True, append_images=[Image.fromarray(pixels[::-1])]),
+    ]
+    return [Seed("jpeg", ".jpg", data) for data in files]
+
+
+def _saved(pixels: np.ndarray, kind: str, **options: object) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, kind, **options)
+    return out.getvalue()
+
+
+def _pictures() -> list[Seed]:
+    pixels = _pixels()
+    deep = pixels.astype(np.uint16) * 257
+    found = [Seed("picture", ".png", _saved(pixels, "PNG")), Seed("picture", ".tif", _saved(pixels, "TIFF"))]
+    found.append(Seed("picture", ".tif", _saved(pixels, "TIFF", compression="tiff_lzw")))
+    for options in ({}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"tile": (16, 16)}):
+        out = io.BytesIO()
+        array = np.moveaxis(deep, -1, 0) if "planarconfig" in options else deep
+        tifffile.imwrite(out, array, photometric="rgb", **options)
+        found.append(Seed("picture", ".tif", out.getvalue()))
+    return found
+
+
+def _arrays() -> list[Seed]:
+    found = []
+    for kind, array in (("picture", _pixels()), ("picture", _pixels() / 255), ("mosaic", _mosaic())):
+        out = io.BytesIO()
+        np.save(out, array)
+        found.append(Seed(kind, ".npy", out.getvalue()))
+    return found
+
+
+def _tomls() -> list[Seed]:
+    import tomli_w
+
+    config = dataclasses.asdict(TrainConfig(clean=("photos",), recipe="phone", model_options={"depth": 3}))
+    recipes = [Seed("recipe", ".toml", make().to_toml().encode()) for make in RECIPES.values()]
+    config_text = tomli_w.dumps(config).encode()
+    return [*recipes, Seed("settings", ".toml", _DATASET.encode()), Seed("config", ".toml", config_text)]
