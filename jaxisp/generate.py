@@ -1,6 +1,8 @@
 """Degrade files: clean photographs in, a clean+noisy data set out, each image with its parameters."""
 
 import dataclasses
+import functools
+import hashlib
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -12,20 +14,23 @@ import numpy as np
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, find_images, output_folder
+from jaxisp.io.files import atomic_write, find_images, locked
 from jaxisp.io.images import read_image, write_png
 from jaxisp.recipe import Recipe
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
 
+Tick = Callable[[int, int], Any]
+
 
 @dataclasses.dataclass
 class Outcome:
-    """What a run did, and the inputs that it could not use."""
+    """What a run did, and the inputs that it could not use; `kept` were there already."""
 
     images: int = 0
     seconds: float = 0.0
+    kept: int = 0
     failed: list[tuple[str, str]] = dataclasses.field(default_factory=list)
 
     @property
@@ -37,18 +42,137 @@ class Outcome:
             "images": self.images,
             "images_per_second": round(self.images_per_second, 3),
             "seconds": round(self.seconds, 3),
+            "kept": self.kept,
             "failed": [{"file": name, "reason": reason} for name, reason in self.failed],
         }
 
 
 @dataclasses.dataclass(frozen=True)
-class _Job:
-    """One input: its name in the output, its pixels, the global index of its first version."""
+class Sample:
+    """One version of one input: its name in the output and its global index."""
 
     stem: str
     path: Path
-    image: np.ndarray
     index: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Degraded:
+    """A sample with its pictures, (H, W, 3) float32 encoded sRGB, and a recipe of the drawn parameters."""
+
+    sample: Sample
+    clean: np.ndarray
+    noisy: np.ndarray
+    drawn: Recipe
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """All samples that `inputs` and `count` make: sample k, from 0, is version k % count of input k // count.
+
+    Args:
+        inputs: images and folders of images.
+        recipe: takes and gives encoded sRGB.
+        count: versions of each image.
+        seed: of the root key.
+        start: the global index of sample 0.
+    """
+
+    inputs: Sequence[str | Path]
+    recipe: Recipe
+    count: int = 1
+    seed: int = 0
+    start: int = 0
+    paths: list[Path] = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        chain = self.recipe.chain
+        if chain.domain_in.channels != 3 or chain.domain_out.channels != 3:
+            raise InputError(f"recipe {self.recipe.name!r} takes {chain.domain_in.name}, not photographs")
+        object.__setattr__(self, "paths", find_images(self.inputs))
+        if not 0 <= self.start <= (1 << 31) - 1 - len(self):
+            raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
+
+    def __len__(self) -> int:
+        return len(self.paths) * self.count
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of the recipe's TOML."""
+        return hashlib.sha256(self.recipe.to_toml().encode()).hexdigest()
+
+    def sample(self, k: int) -> Sample:
+        path, version = self.paths[k // self.count], k % self.count
+        return Sample(f"{path.stem}_{version:03d}", path, self.start + k)
+
+    def run(
+        self, which: range, outcome: Outcome, done: Callable[[Sample], bool] = lambda sample: False
+    ) -> Iterator[Degraded]:
+        """Degrade these samples, those apart that are `done`; out of order where sizes differ.
+
+        The device computes one batch while the one before it is used, and the next one read.
+        """
+        key, before = jax.random.key(self.seed), None
+        for batch in self._batches(which, outcome, done):
+            indices = np.asarray([sample.index for sample, _ in batch], np.int32)
+            noisy, _, params = self.recipe.degrade(key, np.stack([image for _, image in batch]), indices)
+            if before is not None:
+                yield from self._fetch(*before)
+            before = batch, noisy, params
+        if before is not None:
+            yield from self._fetch(*before)
+
+    def _fetch(self, batch: list[tuple[Sample, np.ndarray]], noisy: Any, params: Any) -> Iterator[Degraded]:
+        noisy, params = jax.device_get((noisy, params))
+        for i, (sample, clean) in enumerate(batch):
+            drawn = jax.tree.map(lambda leaf, i=i: leaf[i], params)
+            yield Degraded(sample, clean, noisy[i], self._drawn(sample, drawn))
+
+    def _drawn(self, sample: Sample, params: dict[str, Any]) -> Recipe:
+        note = {"sample": self.note(sample)}
+        return Recipe(self.recipe.chain, params, f"the parameters drawn for {sample.stem}", note)
+
+    def note(self, sample: Sample) -> dict[str, Any]:
+        """What says which sample of which run it is."""
+        return {
+            "source": sample.path.name,
+            "recipe": self.recipe.name,
+            "recipe_sha256": self.digest,
+            "seed": self.seed,
+            "index": sample.index,
+        }
+
+    def _batches(
+        self, which: range, outcome: Outcome, done: Callable[[Sample], bool]
+    ) -> Iterator[list[tuple[Sample, np.ndarray]]]:
+        """Samples of one size together, so that a size is compiled once; the last batch may be smaller."""
+        waiting: dict[tuple[int, ...], list[tuple[Sample, np.ndarray]]] = defaultdict(list)
+        first = self._first_of_stem()
+        for i in range(which.start // self.count, -(-which.stop // self.count)):
+            own = range(max(which.start, i * self.count), min(which.stop, (i + 1) * self.count))
+            samples = [sample for sample in map(self.sample, own) if not done(sample)]
+            outcome.kept += len(own) - len(samples)
+            image = self._read(self.paths[i], first, outcome) if samples else None
+            if image is None:
+                continue
+            size = max(1, BATCH_PIXELS // (image.shape[0] * image.shape[1]))
+            for sample in samples:
+                waiting[image.shape].append((sample, image))
+                if len(waiting[image.shape]) == size:
+                    yield waiting.pop(image.shape)
+        yield from waiting.values()
+
+    def _first_of_stem(self) -> dict[str, Path]:
+        return {path.stem: path for path in reversed(self.paths)}
+
+    def _read(self, path: Path, first: dict[str, Path], outcome: Outcome) -> np.ndarray | None:
+        try:
+            if first[path.stem] != path:
+                raise InputError(f"{path}: {first[path.stem]} has the same name, which outputs would share")
+            return read_image(path)
+        except InputError as error:
+            outcome.failed.append((str(path), str(error)))
+            return None
 
 
 def degrade_files(
@@ -59,7 +183,8 @@ def degrade_files(
     count: int = 1,
     seed: int = 0,
     start: int = 0,
-    tick: Callable[[int, int], Any] = lambda done, total: None,
+    resume: bool = False,
+    tick: Tick = lambda done, total: None,
 ) -> Outcome:
     """Write `STEM_000.clean.png`, `STEM_000.noisy.png` and `STEM_000.toml` for each version of each image.
 
@@ -73,65 +198,48 @@ def degrade_files(
         count: versions of each image; version j of input i has the index start + i * count + j.
         seed: of the root key.
         start: index of the first version.
+        resume: leave out the samples that a run with the same arguments has written.
         tick: called with (done, total).
 
     Returns:
         What was done; inputs that cannot be read are listed in `failed` and the rest goes on.
 
     Raises:
-        InputError: no input, a recipe for other domains, or the folder cannot be written.
+        InputError: no input, a recipe for other domains, the folder cannot be written, or another
+            process writes into it.
     """
-    if recipe.chain.domain_in.channels != 3 or recipe.chain.domain_out.channels != 3:
-        raise InputError(f"recipe {recipe.name!r} takes {recipe.chain.domain_in.name}, not photographs")
-    paths, out = find_images(inputs), output_folder(out)
+    work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
-    key = jax.random.key(seed)
-    for jobs in _batches(paths, count, start, outcome):
-        images = np.stack([job.image for job in jobs])
-        noisy, _, params = jax.device_get(_degrade_jobs(recipe, key, images, jobs))
-        for i, job in enumerate(jobs):
-            drawn = jax.tree.map(lambda leaf, i=i: leaf[i], params)
-            _write(out, job, noisy[i], recipe, drawn, seed)
+    with locked(out):
+
+        def done(sample: Sample) -> bool:
+            return resume and _is_written(out, sample, work.note(sample))
+
+        for degraded in work.run(range(len(work)), outcome, done):
+            _write(out, degraded)
             outcome.images += 1
-            tick(outcome.images, len(paths) * count)
+            tick(outcome.images + outcome.kept, len(work))
+        if outcome.images or outcome.kept:
+            with atomic_write(out / "dataset.toml") as file:
+                file.write(
+                    tomli_w.dumps({"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}).encode()
+                )
     outcome.seconds = time.perf_counter() - clock
-    if outcome.images:
-        with atomic_write(out / "dataset.toml") as file:
-            file.write(tomli_w.dumps({"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}).encode())
     return outcome
 
 
-def _degrade_jobs(recipe: Recipe, key: jax.Array, images: np.ndarray, jobs: list[_Job]) -> Any:
-    return recipe.degrade(key, images, np.asarray([job.index for job in jobs], np.int32))
+def _write(out: Path, degraded: Degraded) -> None:
+    """The three files; the TOML file is the last, so where it stands the sample is whole."""
+    stem = degraded.sample.stem
+    (out / f"{stem}.toml").unlink(missing_ok=True)  # of a run before this one
+    write_png(out / f"{stem}.clean.png", degraded.clean)
+    write_png(out / f"{stem}.noisy.png", degraded.noisy)
+    degraded.drawn.save(out / f"{stem}.toml")
 
 
-def _batches(paths: Sequence[Path], count: int, start: int, outcome: Outcome) -> Iterator[list[_Job]]:
-    """Versions of one size together, so that a size is compiled once; the last batch may be smaller."""
-    waiting: dict[tuple[int, ...], list[_Job]] = defaultdict(list)
-    seen: dict[str, Path] = {}
-    for i, path in enumerate(paths):
-        try:
-            if path.stem in seen:
-                raise InputError(f"{path}: {seen[path.stem]} has the same name, which outputs would share")
-            seen[path.stem] = path
-            image = read_image(path)
-        except InputError as error:
-            outcome.failed.append((str(path), str(error)))
-            continue
-        size = max(1, BATCH_PIXELS // (image.shape[0] * image.shape[1]))
-        for j in range(count):
-            jobs = waiting[image.shape]
-            jobs.append(_Job(f"{path.stem}_{j:03d}", path, image, start + i * count + j))
-            if len(jobs) == size:
-                yield waiting.pop(image.shape)
-    yield from waiting.values()
-
-
-def _write(
-    out: Path, job: _Job, noisy: np.ndarray, recipe: Recipe, params: dict[str, Any], seed: int
-) -> None:
-    sample = {"source": job.path.name, "recipe": recipe.name, "seed": seed, "index": job.index}
-    drawn = Recipe(recipe.chain, params, f"the parameters drawn for {job.stem}", {"sample": sample})
-    write_png(out / f"{job.stem}.clean.png", job.image)
-    write_png(out / f"{job.stem}.noisy.png", noisy)
-    drawn.save(out / f"{job.stem}.toml")
+def _is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
+    try:
+        written = Recipe.load(out / f"{sample.stem}.toml").meta.get("sample")
+    except InputError:
+        return False
+    return written == note and all((out / f"{sample.stem}.{k}.png").is_file() for k in ("clean", "noisy"))

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from jaxisp import __version__
 from jaxisp.cache import keep_compiled
-from jaxisp.cli import degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, train
+from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, train
 from jaxisp.errors import InputError
 
-_MODULES = (demo, develop, fit, degrade, train, denoise, evaluate, diagnose, listings)
+_MODULES = (demo, develop, fit, degrade, train, denoise, evaluate, diagnose, data, listings)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -4,6 +4,7 @@ from argparse import Namespace
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
@@ -19,26 +20,44 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--start", type=int, default=0, metavar="I", help="index of the first sample (default 0)"
     )
+    command.add_argument(
+        "--resume", action="store_true", help="keep the samples that the same command has written"
+    )
+    command.add_argument(
+        "--shards", type=positive, metavar="N", help="write N array-record files instead of pictures"
+    )
+    command.add_argument(
+        "--shard", metavar="I", help="with --shards: only these, from 0, as 3, 0-7 or 0,4,8-11"
+    )
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.generate import degrade_files
+    if arguments.shard is not None and not arguments.shards:
+        raise InputError("--shard needs --shards, which says how many there are in all")
     from jaxisp.recipes import find_recipe
 
     with progress("degrading") as tick:
-        done = degrade_files(
-            arguments.inputs,
-            arguments.out,
-            find_recipe(arguments.recipe),
-            count=arguments.count,
-            seed=arguments.seed,
-            start=arguments.start,
-            tick=tick,
-        )
+        done = _degrade(arguments, find_recipe(arguments.recipe), tick)
     result = done.as_dict()
     if arguments.json:
         print_json(result)
     else:
         rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
-        print(f"{done.images} images in {rate} -> {arguments.out}")
+        kept = f", {done.kept} were there" if done.kept else ""
+        print(f"{done.images} images in {rate}{kept} -> {arguments.out}")
     return report_failures(done.failed)
+
+
+def _degrade(arguments: Namespace, recipe: Any, tick: Any) -> Any:
+    from jaxisp.generate import Work, degrade_files
+
+    options = {"count": arguments.count, "seed": arguments.seed, "start": arguments.start}
+    if not arguments.shards:
+        return degrade_files(
+            arguments.inputs, arguments.out, recipe, **options, resume=arguments.resume, tick=tick
+        )
+    from jaxisp.data.shards import degrade_shards, parse_shards
+
+    only = parse_shards(arguments.shard, arguments.shards) if arguments.shard is not None else None
+    work = Work(arguments.inputs, recipe, **options)
+    return degrade_shards(work, arguments.out, arguments.shards, only=only, tick=tick)

@@ -1,14 +1,24 @@
-"""Clean patches and degraded batches: plain iterators, and sources for grain."""
+"""Data for training: clean patches, degraded batches, shards, sources for grain, public data sets."""
 
+from jaxisp.data.catalogue import SETS, PublicSet, fetch
 from jaxisp.data.clean import CleanImages, downsample_linear, load_clean
+from jaxisp.data.loader import Batches, batches
+from jaxisp.data.shards import ShardSource, degrade_shards
 from jaxisp.data.sources import CleanPatches, DegradedBatches, degrade_key, patches
 
 __all__ = [
+    "SETS",
+    "Batches",
     "CleanImages",
     "CleanPatches",
     "DegradedBatches",
+    "PublicSet",
+    "ShardSource",
+    "batches",
     "degrade_key",
+    "degrade_shards",
     "downsample_linear",
+    "fetch",
     "load_clean",
     "patches",
 ]

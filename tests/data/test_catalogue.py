@@ -1,0 +1,166 @@
+"""Public data sets: a local server that breaks off, checksums, archives, a stand-in folder, no network."""
+
+import hashlib
+import http.server
+import io
+import json
+import socket
+import tarfile
+import threading
+import zipfile
+from typing import ClassVar
+
+import pytest
+
+from jaxisp.cli import main
+from jaxisp.data.catalogue import SETS, SUMS, PublicSet, RemoteFile, fetch, find_set
+from jaxisp.errors import InputError
+
+pytest.importorskip("pooch")
+DATA = bytes(range(256)) * 4000
+SHA = f"sha256:{hashlib.sha256(DATA).hexdigest()}"
+
+
+class Server(http.server.BaseHTTPRequestHandler):
+    """Serves `files`; breaks off after `most` bytes of an answer; notes the ranges it was asked for."""
+
+    files: ClassVar[dict[str, bytes]] = {}
+    most = len(DATA)
+    asked: ClassVar[list[str | None]] = []
+    tag = '"one"'
+
+    def do_GET(self):
+        data, wanted = self.files.get(self.path), self.headers.get("Range")
+        self.asked.append(wanted)
+        if data is None:
+            self.send_error(404)
+            return
+        same = self.headers.get("If-Range") in (None, self.tag)
+        first = int(wanted.removeprefix("bytes=").rstrip("-")) if wanted and same else 0
+        if first >= len(data):
+            self.send_error(416)
+            return
+        self.send_response(206 if first else 200)
+        self.send_header("ETag", self.tag)
+        self.send_header("Content-Length", str(len(data) - first))
+        self.end_headers()
+        self.wfile.write(data[first : first + self.most])
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server(monkeypatch, tmp_path):
+    monkeypatch.setenv("JAXISP_DATA", str(tmp_path / "data é"))
+    for name in ("http_proxy", "HTTP_PROXY", "ALL_PROXY", "all_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    Server.files, Server.most, Server.asked, Server.tag = {"/a.bin": DATA}, len(DATA), [], '"one"'
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{running.server_port}"
+        running.shutdown()
+
+
+def public(*files: RemoteFile) -> PublicSet:
+    return PublicSet("small", "A small set", "tests", "CC0", "1 MB", "https://example.org", files)
+
+
+def test_an_interrupted_download_goes_on_where_it_stopped(server, tmp_path):
+    wanted = public(RemoteFile(f"{server}/a.bin", "a.bin", SHA))
+    Server.most = 300_000
+    for _ in range(3):
+        with pytest.raises(InputError, match=r"small: .*a\.bin cannot be fetched .*run this again to go on"):
+            fetch(wanted)
+    assert not (tmp_path / "data é" / "small").exists()
+    Server.most = len(DATA)
+    folder = fetch(wanted)
+    assert Server.asked == [None, "bytes=262144-", "bytes=524288-", "bytes=786432-"]
+    assert (folder / "a.bin").read_bytes() == DATA and sorted(p.name for p in folder.iterdir()) == [
+        "SOURCE.json",
+        "a.bin",
+    ]
+    source = json.loads((folder / "SOURCE.json").read_text())
+    assert source["licence"] == "CC0" and f"sha256:{source['files'][0]['sha256']}" == SHA
+    assert fetch(wanted) == folder and len(Server.asked) == 4
+
+
+def test_a_file_that_changed_meanwhile_is_fetched_from_its_start(server):
+    wanted = public(RemoteFile(f"{server}/a.bin", "a.bin"))
+    Server.most = 200_000
+    with pytest.raises(InputError):
+        fetch(wanted)
+    Server.files, Server.most, Server.tag = {"/a.bin": b"another file"}, len(DATA), '"two"'
+    assert (fetch(wanted) / "a.bin").read_bytes() == b"another file"
+    Server.files = {"/b.bin": DATA[:5]}
+
+
+def test_a_wrong_file_is_refused_and_a_recorded_checksum_is_compared(server, tmp_path):
+    with pytest.raises(InputError, match="is not the file that it was: sha256:0000"):
+        fetch(public(RemoteFile(f"{server}/a.bin", "a.bin", "sha256:" + "0" * 64)))
+    wanted, root = public(RemoteFile(f"{server}/a.bin", "a.bin")), tmp_path / "data é"
+    folder = fetch(wanted)
+    assert json.loads((root / SUMS).read_text()) == {f"{server}/a.bin": SHA}
+    for path in folder.iterdir():
+        path.unlink()
+    Server.files = {"/a.bin": DATA[:-1] + b"x"}
+    with pytest.raises(InputError, match="is not the file that it was"):
+        fetch(wanted)
+
+
+def test_archives_are_unpacked_and_stay_inside(server, tmp_path):
+    packed, tarred = io.BytesIO(), io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as file:
+        file.writestr("inner/a.txt", "a")
+        file.writestr("../outside.txt", "out")
+    with tarfile.open(fileobj=tarred, mode="w:gz") as file:
+        for name in ("b.txt", "../outside.txt"):
+            member = tarfile.TarInfo(name)
+            member.size = 1
+            file.addfile(member, io.BytesIO(b"b"))
+    Server.files = {"/z.zip": packed.getvalue(), "/t.tgz": tarred.getvalue(), "/bad.zip": b"PK no archive"}
+    folder = fetch(public(RemoteFile(f"{server}/z.zip", "z.zip", archive="zip")))
+    assert (folder / "inner" / "a.txt").read_text() == "a" and not (folder / "z.zip").exists()
+    for name, kind in (("t.tgz", "tar"), ("bad.zip", "zip")):
+        with pytest.raises(InputError, match="damaged archive"):
+            fetch(
+                PublicSet("other", "", "", "", "", "", (RemoteFile(f"{server}/{name}", name, archive=kind),))
+            )
+    assert not list(tmp_path.rglob("outside.txt"))
+
+
+def test_a_folder_stands_in_for_the_download(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAXISP_DATA", str(tmp_path))
+    (tmp_path / "kodak").mkdir()
+    (tmp_path / "kodak" / "kodim01.png").write_bytes(b"x")
+    assert main(["data", "fetch", "kodak", "--json"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["folder"] == str(tmp_path / "kodak") and "unrestricted use" in shown.err
+    assert main(["data", "list", "--json"]) == 0
+    listed = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    assert listed["kodak"]["fetched"] and not listed["polyu"]["fetched"] and set(listed) == set(SETS)
+    assert main(["data", "list"]) == 0 and "Unsplash licence" in capsys.readouterr().out
+
+
+def test_without_a_network_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{closed.getsockname()[1]}/a"
+    monkeypatch.setenv("JAXISP_DATA", str(tmp_path))
+    monkeypatch.setitem(SETS, "kodak", public(RemoteFile(url, "a")))
+    assert main(["data", "fetch", "kodak"]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert (
+        "cannot be fetched" in last and f"put the files of https://example.org into {tmp_path}/small" in last
+    )
+    assert main(["data", "fetch", "renoir"]) == 2 and "get it from https://ani" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no data set named 'x'; there are camera-sim, kodak"):
+        find_set("x")
+
+
+def test_the_sets_say_where_they_are_from():
+    for wanted in SETS.values():
+        assert wanted.licence and wanted.page.startswith("https://") and wanted.title
+        for file in wanted.files:
+            assert file.url.startswith(("https://", "http://")) and file.archive in (None, "zip", "tar")
+            assert file.digest is None or file.digest.split(":")[0] in ("md5", "sha256")
