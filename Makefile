@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench notebooks docs clean
 
 demo: $(READY)
 	$(BIN)/jaxisp demo --out demo
@@ -16,6 +16,14 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+notebooks: $(READY)
+	JAXISP_NOTEBOOKS=all $(BIN)/python -m pytest tests/test_notebooks.py --durations=0
+
+# with the notebooks' pictures where `make notebooks` has run
+docs: $(READY)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
+	@echo docs/_build/index.html
 
 bench: $(PEERS)
 	@status=0; for part in exactness peers stages; do $(BIN)/python -m benchmarks.$$part || status=1; done; exit $$status
@@ -34,4 +42,4 @@ $(PEERS): $(READY)
 	@touch $@
 
 clean:
-	rm -rf .venv demo build *.egg-info .mypy_cache .ruff_cache
+	rm -rf .venv demo build docs/_build *.egg-info .mypy_cache .ruff_cache

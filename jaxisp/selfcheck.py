@@ -2,6 +2,7 @@
 
 import functools
 import os
+from importlib.metadata import version
 
 import jax
 import numpy as np
@@ -29,7 +30,7 @@ def _check(backend: str) -> None:
     error = measured_error()
     if not error <= _TOLERANCE:
         raise RuntimeError(
-            f"jaxlib {jax.lib.__version__} on {backend} computes wrong sums (relative error {error:.2g}, "
+            f"jaxlib {version('jaxlib')} on {backend} computes wrong sums (relative error {error:.2g}, "
             f"{_TOLERANCE:g} allowed), so its pictures would be wrong: install jax 0.10.1, or 0.11 or later; "
             f"or set XLA_FLAGS=--xla_cpu_experimental_ynn_fusion_type=-reduce before Python starts. "
             f"{SKIP}=1 skips this check."

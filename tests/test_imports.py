@@ -20,7 +20,7 @@ LAYERS = [
     {"serialize", "strips"},
     {"recipe"},
     {"recipes", "camera", "report"},
-    {"catalogue", "generate", "fit", "data", "models", "gap"},
+    {"catalogue", "explore", "generate", "fit", "data", "models", "gap"},
     {"train"},
     {"demo"},
     {"cli"},

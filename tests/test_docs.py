@@ -1,0 +1,120 @@
+"""The documentation: it builds without a warning, and names everything that is public."""
+
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import jaxisp
+from jaxisp.gap import EFFECTS
+from jaxisp.recipes import RECIPES
+from jaxisp.stages import STAGES
+
+ROOT = Path(__file__).parent.parent
+PUBLIC = [
+    "jaxisp", "jaxisp.fit", "jaxisp.train", "jaxisp.data", "jaxisp.gap", "jaxisp.models", "jaxisp.io",
+    "jaxisp.samples", "jaxisp.explore", "jaxisp.params", "jaxisp.priors", "jaxisp.metrics",
+]  # fmt: skip
+MISSING = [name for name in ("sphinx", "myst_parser", "furo", "jupytext") if find_spec(name) is None]
+built = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+
+
+def public_names(module: str) -> list[str]:
+    """What a module makes public: `__all__`, or what it defines without an underscore."""
+    found = importlib.import_module(module)
+    if hasattr(found, "__all__"):
+        return list(found.__all__)
+    return [
+        name
+        for name, value in vars(found).items()
+        if not name.startswith("_")
+        and (inspect.isclass(value) or inspect.isroutine(value))
+        and value.__module__ == module
+    ]
+
+
+@pytest.mark.parametrize("module", PUBLIC)
+def test_public_names_are_described(module):
+    found = importlib.import_module(module)
+    assert found.__doc__, module
+    for name in public_names(module):
+        value = getattr(found, name)
+        if inspect.isclass(value) or inspect.isroutine(value) or inspect.ismodule(value):
+            doc = inspect.getdoc(value) or ""
+            assert len(doc) > 15, f"{module}.{name} has no docstring"
+            # a dataclass without one gets its signature instead
+            assert not doc.startswith(f"{name}("), f"{module}.{name} has no docstring"
+
+
+def test_every_public_module_is_listed():
+    """A package that declares `__all__` is in the reference."""
+    packages = {
+        f"jaxisp.{p.parent.name}"
+        for p in (ROOT / "jaxisp").glob("*/__init__.py")
+        if "__all__" in p.read_text()
+    }
+    assert packages - set(PUBLIC) == {"jaxisp.stages", "jaxisp.report"}  # a page of its own; for the commands
+    assert {f"jaxisp.{name}" for name in jaxisp._MODULES} <= set(PUBLIC) | {"jaxisp.stages", "jaxisp.recipes"}
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    """The site's folder and what Sphinx said."""
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, str(ROOT / "docs"), str(out)], capture_output=True, text=True, timeout=600
+    )
+    assert (out / "index.html").exists(), done.stderr[-4000:]
+    return out, done
+
+
+@pytest.fixture(scope="module")
+def site(build):
+    return build[0]
+
+
+@built
+def test_it_builds_without_a_warning(build):
+    done = build[1]
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+@built
+def test_the_reference_is_whole(site):
+    text = {
+        name: (site / "reference" / f"{name}.html").read_text()
+        for name in ("stages", "recipes", "effects", "api")
+    }
+    for page, names in (("stages", STAGES), ("recipes", RECIPES), ("effects", EFFECTS)):
+        shown = set(re.findall(r"<h3>([\w-]+)<" if page == "stages" else r"<h2>([\w-]+)<", text[page]))
+        assert shown == set(names), page
+    for module in PUBLIC:
+        for name in public_names(module):
+            if not inspect.ismodule(getattr(importlib.import_module(module), name)):
+                assert re.search(rf'id="[\w.]*\.{name}"', text["api"]), (
+                    f"{module}.{name} is not in the reference"
+                )
+
+
+@built
+def test_pages_link_to_pages_that_are_there(site):
+    for page in site.rglob("*.html"):
+        for link in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
+            if not re.match(r"[a-z]+:", link):
+                assert (page.parent / link).exists(), f"{page.relative_to(site)}: {link}"
+
+
+@built
+def test_notebooks_are_pages(site):
+    sources = sorted((ROOT / "notebooks").glob("*.py"))
+    assert sources
+    for source in sources:
+        title = re.search(r"^# # (.+)$", source.read_text(), re.MULTILINE)[1]
+        page = site / "tutorials" / (source.stem.replace("_", "-") + ".html")
+        assert f"<h1>{title}<" in page.read_text()
