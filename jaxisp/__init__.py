@@ -9,7 +9,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "Chain": "jaxisp.pipeline",
+    "Chain": "jaxisp.strips",  # of jaxisp.pipeline; with it chains run large frames in strips
     "Gate": "jaxisp.pipeline",
     "Shuffle": "jaxisp.pipeline",
     "Stage": "jaxisp.pipeline",

@@ -5,7 +5,7 @@ nesting. All nodes are hashable values: equal pipelines compare equal and share 
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,9 +74,7 @@ class Chain(Row):
         return _flow(self.nodes)[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        from jaxisp.strips import parts  # which is made of this module
-
-        for nodes, reach, unit in parts(self.nodes):
+        for nodes, reach, unit in _grouping(self.nodes):
             part = functools.partial(_in_turn, nodes, stored=nodes[0] is self.nodes[0])
             if not reach:
                 image = part(image, params, key)
@@ -187,6 +185,24 @@ class Shuffle(Row):
             return lax.switch(which, branches, x), None
 
         return lax.scan(step, image, jnp.argsort(priority))[0]
+
+
+Groups = Iterable[tuple[tuple[Node, ...], int | None, int]]
+"""Nodes that can run in strips of rows together: of each group its nodes, their reach, rows of a block."""
+
+
+def _each_alone(nodes: tuple[Node, ...]) -> Groups:
+    return [((node,), None, 1) for node in nodes]
+
+
+_grouping: Callable[[tuple[Node, ...]], Groups] = _each_alone
+"""Until `jaxisp.strips`, which knows the stages, says better: each on the whole frame."""
+
+
+def group_by(grouping: Callable[[tuple[Node, ...]], Groups]) -> None:
+    """Say how chains group their nodes."""
+    global _grouping
+    _grouping = grouping
 
 
 def _in_turn(

@@ -12,10 +12,11 @@ from jax.typing import ArrayLike
 
 from jaxisp.errors import InputError
 from jaxisp.io.files import atomic_write, parse_toml
-from jaxisp.pipeline import Chain, over_batch, sample_keys
+from jaxisp.pipeline import over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
+from jaxisp.strips import Chain
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 

@@ -13,9 +13,11 @@ from typing import Any
 import jax
 
 from jaxisp.numerics import materialize
-from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage
+from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage, group_by
 from jaxisp.stages.demosaic.strips import reach as demosaic_reach
 from jaxisp.windows import ROWS, in_strips
+
+__all__ = ["REACH", "Chain", "parts", "reach", "run_in_strips"]
 
 _POINTWISE = (
     "adc_quantization", "affine_exposure", "black_level", "clip", "color_matrix", "exposure",
@@ -129,3 +131,6 @@ def _in_strips(part: Chain, params: Params, image: jax.Array, rows: int) -> jax.
     assert far is not None, "only these are put into a part"
     unit = _BLOCK if _encodes(part) else _CELL
     return in_strips(lambda strip: part.apply(params, strip, None), image, far, rows=rows, unit=unit)
+
+
+group_by(parts)

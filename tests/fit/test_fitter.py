@@ -215,11 +215,14 @@ def test_a_portrait_blur_is_refused_with_its_figure(tmp_path):
         fit_examples([portrait], steps=2, **PLAIN)
 
 
-def test_a_merge_of_exposures_is_refused_with_its_figure(own):
+def test_a_merge_of_exposures_is_refused_with_its_figure(own, tmp_path):
     _, given = own
-    y, x = np.indices(given.picture.shape[:2])
+    write_pairs(tmp_path, PHONES["a"], {"hdr": scene("astronaut", (192, 256))})
+    shot = example(tmp_path)
+    y, x = np.indices(shot.picture.shape[:2])
     gain = 1 + 0.35 * np.sin(y / 22) * np.cos(x / 27)
-    merged = dataclasses.replace(given, name="hdr", picture=np.clip(given.picture * gain[..., None], 0, 1))
+    picture = np.clip(shot.picture * gain[..., None], 0, 1)
+    merged = dataclasses.replace(shot, name="hdr", picture=picture, jpeg=None)
     options = {"steps": 3, **PLAIN}
     with pytest.raises(InputError, match=r"hdr: .*brightness was changed locally.*levels off"):
         fit_examples([merged], **options)
