@@ -1,5 +1,6 @@
 """The main job on the package's own data: pairs, fit, degrading, denoiser, diagnosis, one HTML page."""
 
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -156,6 +157,7 @@ def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, see
         clean=(str(out / "clean"),), recipe="phone", steps=steps, batch=16, patch=48, downsample=1,
         held_out=1, validation=16, lr=2e-3, warmup=10, ema=0.9, checkpoint_every=steps, seed=seed,
     )  # fmt: skip
+    shutil.rmtree(out / "run", ignore_errors=True)  # of an earlier demo
     result = train(config, out / "run")
     denoiser, _ = load_denoiser(out / "run", "last")
     clean = np.stack([_crop(_encoded(p)) for p in photographs])
