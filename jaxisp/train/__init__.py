@@ -1,11 +1,12 @@
 """Train denoisers on pairs degraded on the fly, apply them, and measure them."""
 
+from jaxisp.data.loader import degrader
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.denoiser import Denoiser, denoise_files, load_denoiser
 from jaxisp.train.devices import make_mesh, replicate, spread
 from jaxisp.train.evaluate import AlignedPair, align_dataset, evaluate_dataset, evaluate_pairs
 from jaxisp.train.optimizer import make_optimizer, schedule
-from jaxisp.train.step import LOSSES, State, degrader, init_state, make_step, weights
+from jaxisp.train.step import LOSSES, State, init_state, make_step, weights
 from jaxisp.train.trainer import TrainResult, train
 
 __all__ = [

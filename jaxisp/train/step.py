@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import nnx
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh
 
+from jaxisp.data.loader import degrader
 from jaxisp.losses import charbonnier
 from jaxisp.recipe import Recipe
 from jaxisp.stages.transfer import srgb_eotf
@@ -124,20 +125,6 @@ def make_step(
         return new, {"loss": value, "grad_norm": optax.tree.norm(gradients)}
 
     return step
-
-
-def degrader(
-    recipe: Recipe, key: jax.Array, mesh: Mesh | None = None
-) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """`(clean, indices) -> noisy`; over a mesh each device degrades its own rows of the batch."""
-
-    def degrade(clean: jax.Array, indices: jax.Array) -> jax.Array:
-        return recipe.degrade(key, clean, indices)[0]
-
-    if mesh is None or mesh.size == 1:
-        return degrade
-    rows = PartitionSpec(AXIS)
-    return jax.shard_map(degrade, mesh=mesh, in_specs=(rows, rows), out_specs=rows, check_vma=False)
 
 
 def _average(state: State, new: Any, decay: float | None) -> Any:

@@ -9,12 +9,13 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from jaxisp.data.clean import CleanImages
+from jaxisp.data.loader import degrader
 from jaxisp.data.sources import CleanPatches
 from jaxisp.recipe import Recipe
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import spread
-from jaxisp.train.step import LOSSES, State, degrader, split_model, weights
+from jaxisp.train.step import LOSSES, State, split_model, weights
 
 Validate = Callable[[State], dict[str, float]]
 

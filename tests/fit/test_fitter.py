@@ -215,18 +215,21 @@ def test_a_portrait_blur_is_refused_with_its_figure(tmp_path):
         fit_examples([portrait], steps=2, **PLAIN)
 
 
-def test_a_merge_of_exposures_is_refused_with_its_figure(own, tmp_path):
-    _, given = own
-    write_pairs(tmp_path, PHONES["a"], {"hdr": scene("astronaut", (192, 256))})
-    shot = example(tmp_path)
+def merged(shot):
+    """A pair whose picture is brightened here and darkened there."""
     y, x = np.indices(shot.picture.shape[:2])
     gain = 1 + 0.35 * np.sin(y / 22) * np.cos(x / 27)
     picture = np.clip(shot.picture * gain[..., None], 0, 1)
-    merged = dataclasses.replace(shot, name="hdr", picture=picture, jpeg=None)
+    return dataclasses.replace(shot, name="hdr", picture=picture, jpeg=None)
+
+
+def test_a_merge_of_exposures_is_refused_with_its_figure(own, tmp_path):
+    _, given = own
+    write_pairs(tmp_path, PHONES["a"], {"hdr": scene("astronaut", (192, 256))})
     options = {"steps": 3, **PLAIN}
     with pytest.raises(InputError, match=r"hdr: .*brightness was changed locally.*levels off"):
-        fit_examples([merged], **options)
-    found = fit_examples([given, merged], **options)
+        fit_examples([merged(example(tmp_path))], **options)
+    found = fit_examples([given, merged(given)], **options)
     assert [p.name for p in found.pairs] == ["astronaut"]
     assert found.failed[0][0] == "hdr" and "left out" in found.failed[0][1]
 

@@ -61,7 +61,10 @@ def test_what_lies_outside_the_raw_is_known():
     assert covered(Alignment(), Lens(k1=-0.1), (90, 121), (90, 121)).all()
 
 
-@pytest.mark.parametrize("pixels", [6.0, -2.5, 0.0])
+OFF = pytest.mark.xfail(strict=True, reason="0.38 px off, not known why; the fit refines it")
+
+
+@pytest.mark.parametrize("pixels", [6.0, pytest.param(-2.5, marks=OFF), 0.0])
 def test_the_alignment_finds_a_radial_distortion(rng, pixels):
     photograph = skimage.data.astronaut() / 255
     corner = np.hypot(511, 511) / 2
@@ -69,15 +72,16 @@ def test_the_alignment_finds_a_radial_distortion(rng, pixels):
     raw = photograph**2.2 @ np.array([[0.9, 0.1, 0], [0.05, 0.9, 0.05], [0, 0.1, 0.9]]).T
     picture, raw = (p + 0.01 * rng.standard_normal(p.shape) for p in (picture, raw))
     aligned, k1 = radial(picture, raw, estimate(picture, raw))
-    assert k1 * corner == pytest.approx(pixels, abs=0.5)  # a start, which the fit refines
+    assert k1 * corner == pytest.approx(pixels, abs=0.25)  # a start, which the fit refines
     assert abs(aligned.scale_y - 1) * 256 < 0.5 and abs(aligned.dx) < 0.1
 
 
-def test_a_phone_that_corrects_its_lens(tmp_path, monkeypatch):
-    """Distortion and lateral colour are recovered to 0.1 px in the corner, and shift nothing else.
+LITTLE_BLUE = pytest.mark.xfail(strict=True, reason="blue's scale is 0.12 px off, see docs/fitting.md")
 
-    On a scene with detail in all colours; see docs/fitting.md for one with little blue.
-    """
+
+@pytest.mark.parametrize("name", ["chelsea", pytest.param("coffee", marks=LITTLE_BLUE)])
+def test_a_phone_that_corrects_its_lens(name, tmp_path, monkeypatch):
+    """Distortion and lateral colour are recovered to 0.1 px in the corner, and shift nothing else."""
     size = (192, 272)
     corner = np.hypot(*(n - 1 for n in size)) / 2
     lens = Lens(1.6 / corner, 0.0, 1 / (1 + 0.7 / corner), 1 / (1 - 0.5 / corner))
@@ -85,7 +89,7 @@ def test_a_phone_that_corrects_its_lens(tmp_path, monkeypatch):
     monkeypatch.setitem(
         phone._DEMOSAICKERS, "gradient", lambda raw, filters: displaced(plain(raw, filters), lens, order=3)
     )
-    write_pairs(tmp_path, PHONES["a"], {"chelsea": scene("chelsea", size)})
+    write_pairs(tmp_path, PHONES["a"], {name: scene(name, size)})
     found = fit_dataset(tmp_path, steps=8, demosaic="demosaic_malvar", median="none")
     assert found.lens_px["distortion"] == pytest.approx(1.6, abs=0.1)
     assert found.lens_px["red"] == pytest.approx(0.7, abs=0.1)
