@@ -1,6 +1,6 @@
 """The simulator under diagnosis: a base pipeline whose parameters are fitted, and every effect, off.
 
-All effects are compiled in once, each behind a switch; a point in the space of all moves, `z`, says what
+All effects are in it, each behind a switch; a point in the space of all moves, `z`, says what
 is on. At z = 0 the picture is the base's, bit for bit.
 """
 

@@ -171,7 +171,7 @@ def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Eff
 
 
 def _with_choice(chain: Chain) -> Chain:
-    """The chain with its demosaicking stage as one of five, so that another can be tried."""
+    """The chain with its demosaicking stage as a choice of all, so that another can be tried."""
     algorithms = {fn.__name__: name for name, fn in DEMOSAICKERS.items()}
     nodes = []
     for node in chain.nodes:
