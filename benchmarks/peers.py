@@ -25,6 +25,7 @@ import jax
 from rich.console import Console
 
 import benchmarks.cases
+from benchmarks import start
 from benchmarks.case import Case, Peer
 from benchmarks.machine import limits, load, machine, set_threads
 from benchmarks.report import verdict, write_performance
@@ -59,6 +60,8 @@ def main() -> None:
             result = measure_family(name, *how, keep if arguments.only else None)
             keep(dict(result))
             good = good and not list(errors(result))
+        if not arguments.families and not arguments.only:
+            start.measure(arguments.out.with_name("start.json"))
     write_performance(arguments.report, peers=arguments.out)
     sys.exit(not good)
 

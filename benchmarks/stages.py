@@ -2,7 +2,7 @@
 
     make bench                                 # everything
     python -m benchmarks.stages jpeg median    # some stages; the others' results are kept
-    python -m benchmarks.stages --slice 1/4    # a quarter of the stages, likewise
+    python -m benchmarks.stages --missing --within 50   # those without results, as many as begin in 50 s
     python -m benchmarks.stages --switches     # what a stage costs that is switched off
     python -m benchmarks.stages --chains       # a chain beside the sum of its stages
     python -m benchmarks.stages --render       # only remake the page from the results
@@ -13,6 +13,7 @@ range. Machine and versions are in the JSON.
 
 import argparse
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,32 +42,38 @@ SWITCHED = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", help="default: all")
-    parser.add_argument("--slice", help="i/n: every n-th stage from the i-th on")
+    parser.add_argument("--missing", action="store_true", help="the stages that have no results yet")
+    parser.add_argument("--within", type=float, help="seconds after which no further stage is begun")
     parser.add_argument("--switches", action="store_true", help="stages switched on and off")
     parser.add_argument("--chains", action="store_true", help="a chain beside the sum of its stages")
-    parser.add_argument("--seconds", type=float, default=30.0, help="for the rounds of each of the three")
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, help="for the rounds of a stage, or of the others"
+    )
     parser.add_argument("--render", action="store_true", help="time nothing, write the page")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--report", type=Path, default=PAGE)
     arguments = parser.parse_args()
-    some = arguments.stages or arguments.slice or arguments.switches or arguments.chains
+    some = arguments.stages or arguments.missing or arguments.switches or arguments.chains
     busy = load()
-    found: dict[str, Any] = {}
-    if not arguments.render:
-        if not some or arguments.stages or arguments.slice:
-            names = arguments.stages or chosen(arguments.slice or "1/1")
-            found["stages"] = measure_stages(names, arguments.seconds)
-        if not some or arguments.switches:
-            found["switches"] = measure_switches(arguments.seconds)
-        if not some or arguments.chains:
-            found["chains"] = measure_chains(arguments.seconds)
+
+    def keep(found: dict[str, Any]) -> None:
         store(arguments.out, found, {"machine": machine(), "load": [busy, load()]})
+
+    if not arguments.render:
+        if not some or arguments.stages or arguments.missing:
+            names = arguments.stages or chosen(arguments.out if arguments.missing else None)
+            measure_stages(names, arguments.seconds, arguments.within, keep)
+        if not some or arguments.switches:
+            keep({"switches": measure_switches(arguments.seconds)})
+        if not some or arguments.chains:
+            keep({"chains": measure_chains(arguments.seconds)})
     write_stages(arguments.report, arguments.out)
 
 
-def chosen(which: str) -> list[str]:
-    first, of = map(int, which.split("/"))
-    return sorted(STAGES)[first - 1 :: of]
+def chosen(results: Path | None) -> list[str]:
+    """All stages, or those that the results lack."""
+    known = json.loads(results.read_text()).get("stages", {}) if results and results.exists() else {}
+    return [name for name in sorted(STAGES) if name not in known]
 
 
 def store(path: Path, found: dict[str, Any], about: dict[str, Any]) -> None:
@@ -78,12 +85,16 @@ def store(path: Path, found: dict[str, Any], about: dict[str, Any]) -> None:
     path.write_text(json.dumps(merged, indent=1) + "\n")
 
 
-def measure_stages(names: list[str], budget: float) -> dict[str, Any]:
-    calls = {
-        f"{name} {what}": prepare(stage(name), what) for name in names for what in ("forward", "gradient")
-    }
-    timed = time_calls(calls, budget)
-    return {name: {what: timed[f"{name} {what}"] for what in ("forward", "gradient")} for name in names}
+def measure_stages(
+    names: list[str], budget: float, within: float | None, keep: Callable[[dict[str, Any]], None]
+) -> None:
+    """Forward and gradient of each stage in turns; kept one by one, as the compilations take a while."""
+    clock = time.perf_counter()
+    for name in names:
+        if within is not None and time.perf_counter() - clock > within:
+            break
+        calls = {what: prepare(stage(name), what) for what in ("forward", "gradient")}
+        keep({"stages": {name: time_calls(calls, budget)}})
 
 
 def time_calls(calls: dict[str, Callable[[], Any]], budget: float) -> dict[str, Any]:

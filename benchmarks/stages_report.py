@@ -29,6 +29,8 @@ def write_stages(path: Path, results: Path) -> None:
     parts = [INTRODUCTION, about, stages(found["stages"]) if found.get("stages") else ""]
     parts += [switches(found["switches"])] if "switches" in found else []
     parts += [chains(found["chains"])] if "chains" in found else []
+    missed = results.with_name("missed-stages.md")
+    parts += [missed.read_text()] if missed.exists() else []
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n\n".join(part.rstrip() for part in parts if part) + "\n")
 

@@ -9,6 +9,7 @@ import importlib
 import inspect
 import json
 import re
+import statistics
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,11 @@ FAMILIES = {
     "Transfer functions": ("transfer",),
 }
 """Titles of the stages' modules; those of others are their names."""
+LIBRARIES = (
+    "OpenCV", "kornia", "SciPy", "colour-demosaicing", "LibRaw", "rawpy", "scikit-image", "PyWavelets",
+    "Pillow", "NumPy",
+)  # fmt: skip
+"""Peers of the benchmarks are named by one of these and the way it is called."""
 
 
 def table(headers: list[str], rows: list[list[Any]]) -> str:
@@ -130,6 +136,29 @@ def effects() -> Iterator[str]:
         yield f"- **moves** {moves}"
         yield f"- **shows in** {', '.join(row['shows_in'])}; by {', '.join(row['axes'])}"
         yield f"- **easily taken for it** {', '.join(f'`{a}`' for a in row['alternatives']) or 'nothing'}\n"
+
+
+def peers() -> Iterator[str]:
+    """What the benchmarks found, a row for each library that is compared."""
+    results = json.loads((ROOT / "benchmarks" / "results" / "peers.json").read_text())
+    found: dict[str, list[tuple[float, str]]] = {}
+    for family in results["families"].values():
+        for row in family["rows"]:
+            for peer in row["peers"]:
+                if "ratio" in peer:
+                    library = next(
+                        (name for name in LIBRARIES if peer["name"].startswith(name)), peer["name"]
+                    )
+                    found.setdefault(library, []).append((peer["ratio"], f"{row['stage']}, {row['size']}"))
+    yield table(
+        ["library", "comparisons", "won", "least", "median", "most", "least at", "most at"],
+        [
+            [library, len(ratios), sum(r > 1 for r, _ in ratios), f"{min(ratios)[0]:.2g}",
+             f"{statistics.median(r for r, _ in ratios):.2g}", f"{max(ratios)[0]:.2g}",
+             min(ratios)[1], max(ratios)[1]]
+            for library, ratios in sorted(found.items(), key=lambda item: -len(item[1]))
+        ],
+    )  # fmt: skip
 
 
 def commands() -> Iterator[str]:
@@ -223,7 +252,7 @@ class Generated(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         kind, *arguments = self.arguments
-        makers = {f.__name__: f for f in (stages, recipes, effects, commands, api, notebook)}
+        makers = {f.__name__: f for f in (stages, recipes, effects, peers, commands, api, notebook)}
         if kind == "notebook":
             self.env.note_dependency(str(ROOT / "notebooks" / f"{arguments[0]}.py"))
         with contextlib.chdir(ROOT):

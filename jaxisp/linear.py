@@ -14,6 +14,8 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from jaxisp.numerics import elementwise
+
 _linear = Primitive("linear_with_transpose")
 _linear.multiple_results = True
 
@@ -112,13 +114,18 @@ batching.primitive_batchers[_linear] = _batch
 mlir.register_lowering(_linear, mlir.lower_fun(_run, multiple_results=True))
 
 
-def inner_product(x: jax.Array, y: jax.Array) -> jax.Array:
-    """The sum of x * y over two images of one shape.
+def total(image: jax.Array) -> jax.Array:
+    """The sum over an image.
 
     By a product with ones: XLA's CPU code takes ten times as long to reduce an image to a number.
     """
-    rows = (x * y).reshape(x.shape[0], -1)
+    rows = image.reshape(image.shape[0], -1)
     return jnp.matmul(rows, jnp.ones(rows.shape[1], rows.dtype), precision=lax.Precision.HIGHEST).sum()
+
+
+def inner_product(x: jax.Array, y: jax.Array) -> jax.Array:
+    """The sum of x * y over two images of one shape."""
+    return total(x * y)
 
 
 def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:
@@ -128,7 +135,8 @@ def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:
 
 def pointwise(fn: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], *scalars: Any) -> jax.Array:
     """`fn(*arrays, *scalars)`, elementwise in arrays of one shape, with a fast gradient to the scalars."""
-    return _pointwise(fn, arrays, tuple(jnp.asarray(s, arrays[0].dtype) for s in scalars))
+    values = tuple(jnp.asarray(s, arrays[0].dtype) for s in scalars)
+    return elementwise(lambda *rows: _pointwise(fn, rows, values), *arrays)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

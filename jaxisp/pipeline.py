@@ -15,12 +15,13 @@ import numpy as np
 from jax import lax
 
 from jaxisp.domains import ANY, Domain, accepts
+from jaxisp.groups import group_size, in_groups
 from jaxisp.node import Node, Params, Stage, stage
 from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.registry import REGISTRY, Signature, register, sections, signature
 from jaxisp.selfcheck import check_backend
-from jaxisp.windows import in_strips_on_cpu
+from jaxisp.striping import in_strips_on_cpu
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
@@ -210,8 +211,13 @@ def _in_turn(
 ) -> jax.Array:
     for i, node in enumerate(nodes):
         # without this XLA's CPU backend recomputes one stencil inside the next
-        image = node.apply(params, image if stored and not i else materialize(image), key)
+        image = node.apply(params, image if stored and not i else _stored(image), key)
     return image
+
+
+def _stored(image: jax.Array) -> jax.Array:
+    """`materialize`, as rows of interleaved pixels: a last axis of 3 would not be vectorised over."""
+    return materialize(image.reshape(len(image), -1)).reshape(image.shape)
 
 
 def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
@@ -290,6 +296,9 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
         isinstance(own, Switch | Order) and 0 in jax.tree.leaves(axes[name]) for name, own in params.items()
     )
     if not switched:
+        size = group_size(len(images), images.shape[1] * images.shape[2], sum(1 for _ in node.stages()))
+        if size < len(images) and jax.default_backend() == "cpu":
+            return in_groups(together, size, axes, params, images, keys)
         return together(params, images, keys)
     return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
 

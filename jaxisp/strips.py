@@ -15,7 +15,7 @@ import jax
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage, group_by
 from jaxisp.stages.demosaic.strips import reach as demosaic_reach
-from jaxisp.windows import ROWS, in_strips
+from jaxisp.striping import ROWS, in_strips
 
 __all__ = ["REACH", "Chain", "parts", "reach", "run_in_strips"]
 

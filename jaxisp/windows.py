@@ -4,22 +4,20 @@ The form that is fast: pad once, a barrier, then static slices. Convolutions thr
 40 to 60 times slower on a CPU.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial, reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.linear import inner_product, linear_call, scaled
+from jaxisp.linear import inner_product, linear_call, total
 from jaxisp.numerics import materialize, safe_divide
 
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
-_LARGE, _STRIP = 1 << 18, 1 << 17  # px: a frame that is worth strips, and one of them
-ROWS = 64
-"""Rows of a strip: few enough for the caches, many enough that the rows around it cost little."""
 
 
 def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") -> jax.Array:
@@ -51,85 +49,6 @@ def square(radius: int) -> list[tuple[int, int]]:
     """All (dy, dx) of the window of that radius, row by row."""
     span = range(-radius, radius + 1)
     return [(dy, dx) for dy in span for dx in span]
-
-
-def in_strips(fn: Callable[[Any], Any], image: Any, reach: int, *, rows: int = ROWS, unit: int = 2) -> Any:
-    """`fn(image)`, strip of rows by strip, in the memory of a strip.
-
-    Args:
-        fn: from what `image` is to a pytree of arrays with the rows first. It may depend on a row's
-            parity or on its place in a block, not on more of where it stands.
-        image: (H, W) or (H, W, C), or a pytree of such.
-        reach: how far from a row its result depends on the image [rows].
-        rows: of a strip.
-        unit: rows of a block, 2 for a mosaic: a strip begins where one does.
-    """
-    height, halo = jax.tree.leaves(image)[0].shape[0], -(-reach // unit) * unit
-    step = -(-rows // unit) * unit
-    core = step + height % unit  # the last strip ends with the frame, and has the same shape as the others
-    window = core + 2 * halo
-    if window >= height:
-        return fn(image)
-
-    def one(top: Any) -> Any:
-        # stored before and after, or each read of a strip works out where it is: 2 to 4 times slower
-        strip = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, top, window), image)
-        return materialize(fn(materialize(strip)))
-
-    def body(i: jax.Array, frame: Any) -> Any:
-        start = jnp.minimum(i * step, height - core)
-        # within the frame: so borders are treated where the frame's are
-        top = jnp.clip(start - halo, 0, height - window)
-        done = jax.tree.map(lambda s: lax.dynamic_slice_in_dim(s, start - top, core), one(top))
-        return jax.tree.map(lambda f, s: lax.dynamic_update_slice_in_dim(f, s, start, axis=0), frame, done)
-
-    empty = jax.tree.map(lambda s: jnp.zeros((height, *s.shape[1:]), s.dtype), jax.eval_shape(one, 0))
-    return lax.fori_loop(0, -(-(height - core) // step) + 1, body, empty)
-
-
-def in_strips_on_cpu(
-    fn: Callable[..., Any], image: Any, reach: int, others: tuple[Any, ...] = (), unit: int = 2
-) -> Any:
-    """`fn(image, *others)`; on a CPU `in_strips` where the frame is large.
-
-    Its scratch memory would take longer to get than strips take more: the C library has blocks of over
-    32 MB from the system anew at every call, page by page.
-
-    Gradient: that of `fn` on the whole frame.
-    """
-    height, width = jax.tree.leaves(image)[0].shape[:2]
-    if height < 4 * ROWS or height * width < _LARGE:
-        return fn(image, *others)
-    rows = max(ROWS, _STRIP // width, 12 * reach)
-    leaves, tree = jax.tree.flatten((image, *others))
-
-    def whole(*leaves: jax.Array) -> Any:
-        return fn(*jax.tree.unflatten(tree, leaves))
-
-    def strips(*leaves: jax.Array) -> Any:
-        image, *others = jax.tree.unflatten(tree, leaves)
-        return in_strips(lambda strip: fn(strip, *others), image, reach, rows=rows, unit=unit)
-
-    return _stripped(whole, strips, *leaves)
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _stripped(whole: Callable[..., Any], strips: Callable[..., Any], *leaves: Any) -> Any:
-    return lax.platform_dependent(*leaves, cpu=strips, default=whole)
-
-
-def _stripped_jvp(
-    whole: Callable[..., Any], strips: Callable[..., Any], primals: Any, tangents: Any
-) -> tuple[Any, Any]:
-    moving = [i for i, t in enumerate(tangents) if not isinstance(t, SymbolicZero)]
-
-    def of(*moved: Any) -> Any:
-        return whole(*(moved[moving.index(i)] if i in moving else p for i, p in enumerate(primals)))
-
-    return jax.jvp(of, [primals[i] for i in moving], [tangents[i] for i in moving])
-
-
-_stripped.defjvp(_stripped_jvp, symbolic_zeros=True)
 
 
 def filter_rows_columns(
@@ -244,22 +163,41 @@ def _gaussian(image: jax.Array, sigma: jax.Array, radius: int) -> jax.Array:
 
 
 def _gaussian_jvp(radius: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
-    """The slope to sigma is three more filters; through the taps it would be one sum a tap."""
+    """The slope to sigma is two more filters; through the taps it would be one sum a tap."""
     image, sigma = primals
-    image_change, sigma_change = tangents
     taps, slope = jax.jvp(lambda s: gaussian_taps(s, radius), (sigma,), (jnp.ones_like(sigma),))
     # along the rows first: that filter takes twice as long as along the columns, and is needed less often so
     rows = materialize(_filter(image, taps, 1, "reflect"))
     y = _filter(rows, taps, 0, "reflect")
-    change = jnp.zeros_like(y)
-    if not isinstance(image_change, SymbolicZero):
-        half = materialize(_filter_linearly(image_change, taps, 1, "reflect"))
-        change = _filter_linearly(half, taps, 0, "reflect")
-    if not isinstance(sigma_change, SymbolicZero):
-        steep = materialize(_filter(image, slope, 1, "reflect"))
-        by_sigma = _filter(rows, slope, 0, "reflect") + _filter(steep, taps, 0, "reflect")
-        change += scaled(sigma_change, by_sigma)
-    return y, change
+    return y, linear_call(_gaussian_tangent, _gaussian_cotangent, (image, rows, taps, slope), tangents)
 
 
-_gaussian.defjvp(_gaussian_jvp, symbolic_zeros=True)
+def _gaussian_tangent(saved: Any, change: Any) -> jax.Array:
+    (image, rows, taps, slope), (d_image, d_sigma) = saved, change
+    across = _filter(d_image, taps, 1, "reflect") + d_sigma * _filter(image, slope, 1, "reflect")
+    return _filter(materialize(across), taps, 0, "reflect") + d_sigma * _filter(rows, slope, 0, "reflect")
+
+
+def _gaussian_cotangent(saved: Any, cotangent: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The transpose of `_gaussian_tangent`: as the taps are symmetric, the same filters, edges weighted."""
+    image, rows, taps, slope = saved
+    back = materialize(_symmetric_transpose(cotangent, taps, 0))
+    by_rows, by_columns = _filter(rows, slope, 0, "reflect"), _filter(image, slope, 1, "reflect")
+    by_sigma = materialize(cotangent * by_rows) + back * by_columns
+    return _symmetric_transpose(back, taps, 1), total(by_sigma)
+
+
+def _symmetric_transpose(cotangent: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
+    """The transpose of `_filter` by symmetric taps with borders reflected.
+
+    On the reflected and so periodic plane the filter is its own transpose, and an edge pixel occurs half as
+    often as any other.
+    """
+    shape = [-1 if a == axis else 1 for a in range(cotangent.ndim)]
+    count = np.ones(cotangent.shape[axis])
+    count[[0, -1]] = 2
+    counts = jnp.asarray(count.reshape(shape), cotangent.dtype)
+    return _filter(cotangent * counts, taps, axis, "reflect") / counts
+
+
+_gaussian.defjvp(_gaussian_jvp)

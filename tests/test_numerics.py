@@ -4,11 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from jaxisp.numerics import (
     clip_through,
+    elementwise,
     materialize,
     per_plane,
+    planes,
     round_through,
     safe_divide,
     safe_pow,
@@ -57,3 +60,23 @@ def test_per_plane_treats_channels_alike(rng):
     flipped = per_plane(lambda p: p[::-1], image)
     np.testing.assert_array_equal(flipped, image[::-1])
     np.testing.assert_array_equal(per_plane(lambda p: p[::-1], image[..., 0]), image[::-1, :, 0])
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (4, 5, 7, 3)])
+def test_elementwise_is_the_function(shape, rng):
+    x, y = jnp.asarray(rng.random((2, *shape)), jnp.float32)
+
+    def curve(x, y):
+        return jnp.exp(x) * y
+
+    fn = jax.jit(lambda x, y: elementwise(curve, x, y))
+    np.testing.assert_allclose(fn(x, y), curve(x, y), rtol=1e-6)
+    check_grads(fn, (x, y), order=1, modes=["fwd", "rev"], rtol=2e-2, atol=2e-2)
+    np.testing.assert_allclose(jax.vmap(fn)(x, y), curve(x, y), rtol=1e-6)
+
+
+def test_planes_are_the_channels(rng):
+    image = rng.random((4, 6, 3))
+    np.testing.assert_array_equal(jnp.stack(planes(image), -1), jnp.asarray(image))
+    jaxpr = str(jax.make_jaxpr(jax.grad(lambda v: sum(p.sum() * k for k, p in enumerate(planes(v)))))(image))
+    assert "concatenate" in jaxpr and "pad" not in jaxpr

@@ -7,18 +7,7 @@ import pytest
 import scipy.ndimage as ndi
 from jax.test_util import check_grads
 
-from jaxisp import windows
-from jaxisp.windows import (
-    _MOST_TAPS,
-    filter_rows_columns,
-    gaussian_blur,
-    gaussian_taps,
-    in_strips,
-    in_strips_on_cpu,
-    pad,
-    square,
-    views,
-)
+from jaxisp.windows import _MOST_TAPS, filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 
 
 @pytest.mark.parametrize("shape", [(21, 34), (9, 5), (3, 40), (1, 7), (2, 2)])
@@ -93,36 +82,3 @@ def test_views_move_the_right_way(rng):
     for (dy, dx), view in zip(square(1), views(padded, square(1), 1)):
         assert view[2, 3] == x[2 + dy, 3 + dx]
     assert pad(x[:1], 2).shape == (5, 11)
-
-
-@pytest.mark.parametrize("height", [20, 21, 64, 97])
-def test_strips_are_the_whole(height, rng):
-    """With the parity of each row, which a mosaic tells by; several results, and one with colours."""
-    image = rng.random((height, 7, 3)).astype(np.float32)
-
-    def fn(x):
-        above, below = views(pad(x[..., 0], (2, 0)), [(-2, 0), (2, 0)], (2, 0))
-        odd = jnp.arange(len(x))[:, None] % 2
-        return above - below + odd, 2 * x
-
-    for got, want in zip(in_strips(fn, image, 2, rows=10), fn(image)):
-        np.testing.assert_allclose(got, want, atol=1e-6)
-
-
-def test_a_large_frame_has_the_gradient_of_the_whole(rng, monkeypatch):
-    monkeypatch.setattr(windows, "_LARGE", 2000)
-    monkeypatch.setattr(windows, "_STRIP", 0)
-    image, weights = rng.random((2, 300, 9)).astype(np.float32)
-
-    def fn(x, scale, _):
-        return scale * views(pad(x, 1), [(1, 0)], 1)[0] ** 2
-
-    def loss(call):
-        return jax.jit(jax.value_and_grad(lambda x, s: jnp.sum(weights * call(x, s)), argnums=(0, 1)))
-
-    got = loss(lambda x, s: in_strips_on_cpu(fn, x, 1, (s, jnp.arange(3))))(image, 1.5)
-    want = loss(lambda x, s: fn(x, s, None))(image, 1.5)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), got, want)
-    call = lambda x: in_strips_on_cpu(fn, x, 1, (1.5, None))  # noqa: E731
-    assert "while" in jax.jit(call).lower(image).as_text()
-    np.testing.assert_allclose(jax.vmap(call)(image[None])[0], fn(image, 1.5, None), rtol=1e-6)

@@ -17,6 +17,7 @@ from jaxisp.domains import LinearRGB
 from jaxisp.numerics import per_plane, planes, safe_divide, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.striping import in_strips_on_cpu
 from jaxisp.windows import gaussian_blur, pad
 
 _CHORDS = 1024  # of a disc; its weights are then within 1e-4 of the largest
@@ -49,7 +50,11 @@ def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: int = 12) -> 
     Source: Zhang, Zerubia & Olivo-Marin 2007, "Gaussian approximations of fluorescence microscope
     point-spread function models", for the Airy disc.
     """
-    return gaussian_blur(image, params.sigma, radius)
+
+    def blurred(image: jax.Array, sigma: jax.Array) -> jax.Array:
+        return gaussian_blur(image, sigma, radius)
+
+    return in_strips_on_cpu(blurred, image, radius, (params.sigma,), forward=False)
 
 
 @parameters

@@ -1,5 +1,7 @@
 """Detail: unsharp masking."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
@@ -8,6 +10,7 @@ from jaxisp.linear import pointwise
 from jaxisp.numerics import materialize, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.striping import in_strips_on_cpu
 from jaxisp.windows import gaussian_blur
 
 
@@ -38,12 +41,17 @@ def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: int = 12) -> RGB:
 
     Source: Jaroensri et al. 2019, section 3; Polesel, Ramponi & Mathews 2000.
     """
-    # stored, or the blur would be done again by everything that reads the detail
-    detail = image - materialize(gaussian_blur(image, params.sigma, radius))
-    return pointwise(_sharpened, (image, detail), params.amount, params.threshold)
+    return in_strips_on_cpu(partial(_unsharp, radius), image, radius, (params,), forward=False)
 
 
-def _sharpened(x: jax.Array, detail: jax.Array, amount: jax.Array, threshold: jax.Array) -> jax.Array:
+def _unsharp(radius: int, image: jax.Array, params: UnsharpMask) -> jax.Array:
+    # stored, or it would be done again by everything that reads it
+    blurred = materialize(gaussian_blur(image, params.sigma, radius))
+    return pointwise(_sharpened, (image, blurred), params.amount, params.threshold)
+
+
+def _sharpened(x: jax.Array, blurred: jax.Array, amount: jax.Array, threshold: jax.Array) -> jax.Array:
+    detail = x - blurred
     excess = jnp.abs(detail) - threshold
     soft = jax.nn.sigmoid(excess / (0.05 * threshold + 1e-4))
     return x + amount * straight_through((excess > 0).astype(x.dtype), soft) * detail

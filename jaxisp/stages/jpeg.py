@@ -186,10 +186,10 @@ def _through_jpeg(
 
 def _levels(image: jax.Array) -> tuple[jax.Array, ...]:
     """The planes in 8 bits, in a type that holds the sums: float16 does not."""
-    whole = round_through(255 * jnp.clip(image, 0, 1))
-    # stored, or the gradient of all three would be computed for each
-    return materialize(planes(whole.astype(jnp.promote_types(image.dtype, jnp.float32))))
+    exact = jnp.promote_types(image.dtype, jnp.float32)
+    whole = tuple(round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in planes(image))
+    return materialize(whole)  # or the gradient of all three would be computed for each
 
 
 def _stacked(coded: tuple[jax.Array, ...], dtype: jnp.dtype) -> jax.Array:
-    return jnp.stack(coded, axis=-1).astype(dtype) / 255
+    return jnp.stack([p.astype(dtype) / 255 for p in coded], axis=-1)

@@ -1,9 +1,10 @@
 """Rounding to output levels."""
 
+import jax
 import jax.numpy as jnp
 
 from jaxisp.domains import EncodedRGB
-from jaxisp.numerics import straight_through
+from jaxisp.numerics import elementwise, straight_through
 from jaxisp.pipeline import register
 
 
@@ -31,8 +32,12 @@ def rounding(image: EncodedRGB, *, bits: int = 8, legacy: bool = False) -> Encod
     """
     if not 1 <= bits <= 16:
         raise ValueError(f"rounding: bits must be in 1..16, got {bits}")
-    inside = jnp.clip(image, 0, 1)
-    if legacy:
-        return straight_through(jnp.floor(inside * 2**bits) / 2**bits, inside)
     levels = 2**bits - 1
-    return straight_through(jnp.round(inside * levels) / levels, inside)
+
+    def rounded(x: jax.Array) -> jax.Array:
+        inside = jnp.clip(x, 0, 1)
+        if legacy:
+            return straight_through(jnp.floor(inside * 2**bits) / 2**bits, inside)
+        return straight_through(jnp.round(inside * levels) / levels, inside)
+
+    return elementwise(rounded, image)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from jaxisp import cfa as bayer
 from jaxisp.domains import Image, LinearRGB, Mosaic
+from jaxisp.linear import pointwise
 from jaxisp.numerics import clip_through, planes, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -132,9 +133,44 @@ def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = Fa
     Source: Jaroensri et al. 2019, section 3; Esser et al. 2020 (step-size gradient).
     """
     steps = round_through(jnp.exp2(round_through(params.bits))).astype(image.dtype)
-    if legacy:
-        return straight_through(jnp.floor(image * steps), image * steps) / steps
-    return round_through(image * (steps - 1)) / (steps - 1)
+
+    def quantized(x: jax.Array, steps: jax.Array) -> jax.Array:
+        if legacy:
+            return straight_through(jnp.floor(x * steps), x * steps) / steps
+        return round_through(x * (steps - 1)) / (steps - 1)
+
+    return pointwise(quantized, (image,), steps)
+
+
+@parameters
+class LevelSteps:
+    """How far apart the levels are."""
+
+    step: Leaf = param(0.0, (0.0, 0.25), "level", doc="distance of two levels; 0 is no rounding")
+
+
+@register
+def level_steps(params: LevelSteps, image: Mosaic) -> Mosaic:
+    """Round to levels that are evenly apart, any number of them to white.
+
+    `y = step round(x / step)`; `adc_quantization` is this for a whole number of bits.
+
+    Args:
+        params: step.
+        image: (H, W) linear light, any range.
+
+    Returns:
+        (H, W) linear light; the image itself where step is 0.
+
+    Gradient: surrogate. Rounding is passed through, so that it is 1 to the image, and to the step that of
+        `step round(x / step)` with it: `(y - x) / step`.
+
+    Source: Widrow & Kollar 2008, "Quantization Noise".
+    """
+    step = params.step.astype(image.dtype)
+    safe = jnp.where(step > 1e-6, step, 1)
+    levels = jax.lax.stop_gradient(jnp.round(image / safe) - image / safe)
+    return jnp.where(step > 1e-6, image + levels * step, image)
 
 
 @parameters
@@ -170,7 +206,7 @@ def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> 
     """
     if not (0 <= leak <= 1 and low < 0.3):
         raise ValueError(f"clip: leak {leak} is outside [0, 1], or low {low} is not below 0.3")
-    return clip_through(image, low, params.white.astype(image.dtype), leak)
+    return pointwise(lambda x, white: clip_through(x, low, white, leak), (image,), params.white)
 
 
 @parameters

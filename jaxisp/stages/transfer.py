@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.domains import EncodedProPhotoRGB, EncodedRGB, LinearRGB, ProPhotoRGB
+from jaxisp.numerics import elementwise
 from jaxisp.pipeline import register
 
 
@@ -19,9 +20,13 @@ def _power(x: jax.Array, exponent: float, least: float) -> jax.Array:
 
 def _odd(curve: Callable[[jax.Array], jax.Array], x: jax.Array) -> jax.Array:
     """`curve` of the magnitude with the sign of x; unlike sign(x) * abs(x) it has a slope at 0."""
-    negative = x < 0
-    y = curve(jnp.where(negative, -x, x))
-    return jnp.where(negative, -y, y)
+
+    def both(x: jax.Array) -> jax.Array:
+        negative = x < 0
+        y = curve(jnp.where(negative, -x, x))
+        return jnp.where(negative, -y, y)
+
+    return elementwise(both, x)
 
 
 _SRGB_KNEE = 0.0031308
@@ -50,7 +55,7 @@ def srgb_oetf(image: LinearRGB, *, legacy: bool = False) -> EncodedRGB:
         moved = x + 0.001 if legacy else x
         return jnp.where(x <= _SRGB_KNEE, 12.92 * x, 1.055 * _power(moved, 1 / 2.4, _SRGB_KNEE) - 0.055)
 
-    return curve(image) if legacy else _odd(curve, image)
+    return elementwise(curve, image) if legacy else _odd(curve, image)
 
 
 @register
@@ -77,7 +82,7 @@ def srgb_eotf(image: EncodedRGB, *, legacy: bool = False) -> LinearRGB:
     def curve(x: jax.Array) -> jax.Array:
         return jnp.where(x <= knee, x / 12.92, scale * _power(x + 0.055, 2.4, knee))
 
-    return curve(image) if legacy else _odd(curve, image)
+    return elementwise(curve, image) if legacy else _odd(curve, image)
 
 
 @register

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import peers, report, timing
+from benchmarks import musts, peers, report, timing
 from benchmarks.case import Case, Peer
 
 LIMITS = {"copy_gb_per_s": {"batch": 10.0, "1 MP": 5.0}, "peak_gflop_per_s": 100.0}
@@ -124,3 +124,27 @@ def test_every_family_gives_cases():
     for name in peers.families():
         module = __import__(f"benchmarks.cases.{name}", fromlist=["cases"])
         assert callable(module.cases)
+
+
+def test_what_was_asked_for_is_judged_by_its_own_measure(tmp_path):
+    peer = ENTRY | {"name": "OpenCV, 16 bits", "ratio": 0.59, "goal": None}
+    bilinear = ENTRY | {"stage": "bilinear", "size": "batch", "peers": [peer]}
+    slope = ENTRY | {"ratio": 4.0, "goal": 4}
+    phone = ENTRY | {"stage": "recipe phone", "size": "batch", "ms": 20.0, "peers": [], "gradient": slope}
+    results = {"demosaic": result(bilinear), "chain": result(phone)}
+    start = {
+        "first": {"degrade_s": 20.1}, "second": {"import_s": 1.0, "degrade_s": 2.0},
+        "develop": {"peak_mb": 2048},
+    }  # fmt: skip
+    rows = [(row[0], *row[3:]) for row in musts.rows(results, start)]
+    assert ("bilinear", "0.6 x", "0.59 x", "**missed**") in rows
+    assert ("recipe phone", "1500 images/s", "1600 images/s", "met") in rows
+    assert ("recipe phone, gradient to all parameters", "at most 4 x", "4.00 x", "met") in rows
+    assert ("recipe phone, first call", "below 20 s", "20.1 s", "**missed**") in rows
+    assert [row[-1] for row in rows[-2:]] == ["met", "met"] and len(rows) == 7
+
+
+def test_every_must_names_a_row_of_the_results():
+    results = json.loads(peers.RESULTS.read_text())["families"]
+    sizes = sum(len(of_size) for *_, of_size in musts.AGAINST_PEERS)
+    assert len(list(musts.rows(results, None))) == sizes + len(musts.AGAINST_STATED) + 3

@@ -9,6 +9,7 @@ from scipy import integrate, ndimage, signal
 
 from jaxisp.pipeline import run, stage
 from jaxisp.stages import blur, optics
+from jaxisp.stages.optics import displacement
 from tests.conftest import smooth_image
 
 H, W = SHAPE = (21, 34)
@@ -118,11 +119,11 @@ def test_veiling_glare_keeps_the_mean_and_lifts_blacks():
 # ---- geometry
 
 
-@pytest.mark.parametrize("shifts", [optics._MOST_SHIFTS, -1])
+@pytest.mark.parametrize("shifts", [displacement._MOST_SHIFTS, -1])
 @pytest.mark.parametrize(("red", "blue"), [(0.99, 1.01), (1.0037, 0.9942)])
 def test_lateral_chromatic_aberration(red, blue, shifts, monkeypatch, x64):
     """Both forms, shifted views and gathers, on an image large enough to move by more than a pixel."""
-    monkeypatch.setattr(optics, "_MOST_SHIFTS", shifts)
+    monkeypatch.setattr(displacement, "_MOST_SHIFTS", shifts)
     image = picture(dtype=float, shape=(53, 260))
     params = optics.LateralChromaticAberration(red_scale=red, blue_scale=blue)
     out = jax.jit(optics.lateral_chromatic_aberration)(params, image)
@@ -186,8 +187,8 @@ def test_no_distortion_is_the_identity():
 @pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
 def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shape, monkeypatch, x64):
     """Forward and reverse mode are written separately; these few pixels are large enough for strips here."""
-    monkeypatch.setattr(optics, "_STRIP", 5 * shape[1])
-    monkeypatch.setattr(optics, "_MOST_SHIFTS", 1)  # so that the wide image is sampled, the others shifted
+    monkeypatch.setattr(displacement, "_STRIP", 5 * shape[1])
+    monkeypatch.setattr(displacement, "_MOST_SHIFTS", 1)  # the wide image is sampled, the others shifted
     node = stage(name)
     params = jax.tree.map(lambda v: jnp.asarray(v, float) + 0.0071, node.init())
     image, change, weights = np.random.default_rng(0).random((3, *shape))

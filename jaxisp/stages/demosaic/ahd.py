@@ -25,7 +25,8 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.homogeneity import homogeneity_lead
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
-from jaxisp.windows import in_strips_on_cpu, pad
+from jaxisp.striping import in_strips_on_cpu
+from jaxisp.windows import pad
 
 
 @register

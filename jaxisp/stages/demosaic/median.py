@@ -10,7 +10,8 @@ from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Planes
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
-from jaxisp.windows import in_strips_on_cpu, pad, square, views
+from jaxisp.striping import in_strips_on_cpu
+from jaxisp.windows import pad, square, views
 
 
 def median_3x3(plane: jax.Array) -> jax.Array:

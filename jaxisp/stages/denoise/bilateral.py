@@ -12,12 +12,13 @@ from jax import lax
 from jaxisp import numerics
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
-from jaxisp.linear import linear_call
+from jaxisp.linear import inner_product, linear_call
 from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.stages.denoise.grid import grid_planes
+from jaxisp.striping import in_strips_on_cpu
 from jaxisp.windows import views
 
 Planes = tuple[jax.Array, ...]
@@ -149,21 +150,28 @@ def bilateral_planes(
 def _bilateral(
     planes: Planes, guide: jax.Array, sigma_space: jax.Array, sigma_range: jax.Array, radius: int
 ) -> Planes:
-    return _filtered(planes, guide, sigma_space, sigma_range, radius)[0]
+    return _in_strips((planes, guide), sigma_space, sigma_range, radius)[0]
 
 
 @_bilateral.defjvp
 def _bilateral_jvp(radius: int, primals: Any, tangents: Any) -> tuple[Planes, Planes]:
     planes, guide, sigma_space, sigma_range = primals
-    out, norm = _filtered(planes, guide, sigma_space, sigma_range, radius)
+    out, norm = _in_strips((planes, guide), sigma_space, sigma_range, radius)
     saved = (*primals, out, norm)
     return out, linear_call(partial(_tangent, radius), partial(_cotangent, radius), saved, tangents)
 
 
+def _in_strips(
+    frame: tuple[Planes, jax.Array], sigma_space: jax.Array, sigma_range: jax.Array, radius: int
+) -> tuple[Planes, jax.Array]:
+    return in_strips_on_cpu(partial(_filtered, radius), frame, radius, (sigma_space, sigma_range))
+
+
 def _filtered(
-    planes: Planes, guide: jax.Array, sigma_space: jax.Array, sigma_range: jax.Array, radius: int
+    radius: int, frame: tuple[Planes, jax.Array], sigma_space: jax.Array, sigma_range: jax.Array
 ) -> tuple[Planes, jax.Array]:
     """The filtered planes and the sum of the weights."""
+    planes, guide = frame
     weight = _weight(sigma_space, sigma_range)
 
     def terms(near: Planes, squared: int) -> Planes:
@@ -194,15 +202,29 @@ def _tangent(radius: int, saved: Any, change: Any) -> Planes:
 
 def _cotangent(radius: int, saved: Any, cotangent: Planes) -> tuple[Planes, jax.Array, Any, Any]:
     """The transpose of `_tangent`, written as reads: autodiff would scatter 4 times for each tap."""
+    planes, guide, sigma_space, sigma_range, out, norm = saved
+    frame = (planes, guide, out, norm, cotangent, edge_counts(guide.shape, guide.dtype))
+    by_plane, d_guide, d_space = in_strips_on_cpu(
+        partial(_collected, radius), frame, radius, (sigma_space, sigma_range)
+    )
+    d_guide /= sigma_range**2
+    # scaling guide and sigma_range together changes nothing (Euler), nor does an offset of the guide
+    d_range = -inner_product(guide - guide.mean(), d_guide) / sigma_range
+    return by_plane, d_guide, d_space.sum() / sigma_space**3, d_range
+
+
+def _collected(
+    radius: int, frame: Any, sigma_space: jax.Array, sigma_range: jax.Array
+) -> tuple[Planes, jax.Array, jax.Array]:
+    """What planes and guide get, and by rows what sigma_space does; both sigmas' own factors are left out."""
     # stored anew, or XLA would share the forward pass's weights by storing one plane for each tap
-    planes, guide, sigma_space, sigma_range, out, norm = materialize(saved)
-    weight, counts = _weight(sigma_space, sigma_range), edge_counts(guide.shape, guide.dtype)
+    planes, guide, out, norm, cotangent, counts = materialize(frame)
+    weight, n = _weight(sigma_space, sigma_range), len(planes)
     given = tuple(c / norm for c in cotangent)
     mirrored = tuple(counts * c for c in given)
     offset = sum(c * o for c, o in zip(given, out))
     shared = sum(c * o for c, o in zip(mirrored, out))
     share = 1 / counts
-    n = len(planes)
 
     def terms(near: Planes, squared: int) -> Planes:
         w, d = weight(guide, near[0], squared)
@@ -214,10 +236,7 @@ def _cotangent(radius: int, saved: Any, cotangent: Planes) -> tuple[Planes, jax.
     zero = jnp.zeros_like(guide)
     near = (guide, *planes, *mirrored, shared)
     *by_plane, d_guide, d_space = _over_disc(terms, (*mirrored, zero, zero), near, radius, _BACKWARD_TAPS)
-    d_guide /= sigma_range**2
-    # scaling guide and sigma_range together changes nothing (Euler), nor does an offset of the guide
-    d_range = -jnp.sum((guide - guide.mean()) * d_guide) / sigma_range
-    return tuple(share * t for t in by_plane), d_guide, d_space.sum() / sigma_space**3, d_range
+    return tuple(share * t for t in by_plane), d_guide, d_space @ jnp.ones(d_space.shape[1], d_space.dtype)
 
 
 def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tuple[jax.Array, jax.Array]]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.linear import linear_call
+from jaxisp.linear import linear_call, scaled
 from jaxisp.numerics import materialize
 
 Planes = tuple[jax.Array, ...]
@@ -83,14 +83,34 @@ def _from_phases(phases: jax.Array, cell: int, height: int, width: int) -> jax.A
 
 def _blurred(grid: jax.Array, shape: tuple[int, ...], cell: int, by_space: Any, by_range: Any) -> jax.Array:
     """Blur (bins, planes, L) along all three axes; the result has a border of one cell, at the bottom two."""
-    bins, count, _ = grid.shape
     rows, columns = (-(-n // cell) for n in shape)
-    down = jnp.pad(_mirrored_gaussian(rows, by_space), ((1, 2), (0, 0)), "edge")
-    across = jnp.pad(_mirrored_gaussian(columns, by_space), ((1, 1), (0, 0)), "edge")
+    along_bins = _gaussian(len(grid), by_range) @ grid.reshape(len(grid), -1)
+    blurred = _blurred_in_space(along_bins.reshape(*grid.shape[:2], rows, columns + 2), by_space)
+    return blurred.reshape(*grid.shape[:2], -1)
+
+
+@jax.custom_jvp
+def _blurred_in_space(grid: jax.Array, variance: jax.Array) -> jax.Array:
+    """(bins, planes, rows, columns + 2) to (bins, planes, rows + 3, columns + 2), the last two dropped."""
+    bins, count, rows, width = grid.shape
+    down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
+    across = jnp.pad(_mirrored_gaussian(width - 2, variance), ((1, 1), (0, 0)), "edge")
     across = jnp.pad(across, ((0, 0), (0, 2)))  # what the two columns more hold is dropped
-    grid = (_gaussian(bins, by_range) @ grid.reshape(bins, -1)).reshape(-1, columns + 2)
-    grid = (grid @ across.T).reshape(bins * count, rows, columns + 2)
-    return _product(down, grid).reshape(bins, count, -1)
+    grid = (grid.reshape(-1, width) @ across.T).reshape(bins * count, rows, width)
+    return _product(down, grid).reshape(bins, count, -1, width)
+
+
+@_blurred_in_space.defjvp
+def _blurred_in_space_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    """The slope to the variance is half the Laplacian of the result, mirrored as its border is."""
+    (grid, variance), (d_grid, d_variance) = primals, tangents
+    y = _blurred_in_space(grid, variance)
+    change = _blurred_in_space(d_grid, variance)
+    inner = y[..., 1:-2, 1:-1]
+    vertical, horizontal = y[..., :-3, 1:-1] + y[..., 2:-1, 1:-1], y[..., 1:-2, :-2] + y[..., 1:-2, 2:]
+    slope = 0.5 * (vertical + horizontal) - 2 * inner
+    bordered = jnp.pad(slope, ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
+    return y, change + scaled(d_variance, materialize(bordered))
 
 
 def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:

@@ -14,6 +14,7 @@ from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.stages.denoise.networks import MEDIANS
+from jaxisp.striping import in_strips_on_cpu
 from jaxisp.windows import views
 
 
@@ -52,19 +53,27 @@ def _tangent(footprint: str, saved: Any, change: jax.Array) -> jax.Array:
 
 
 def _cotangent(footprint: str, saved: Any, cotangent: jax.Array) -> jax.Array:
-    """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
     plane, out = saved
-    counts = edge_counts(plane.shape, plane.dtype)
+    frame = (plane, out, cotangent, edge_counts(plane.shape, plane.dtype))
+    return in_strips_on_cpu(partial(_collected, footprint), frame, 2 * _radius(footprint))
+
+
+def _collected(footprint: str, frame: Any) -> jax.Array:
+    """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
+    plane, out, cotangent, counts = frame
     equal = [value == out for value in _near(plane, footprint)]
     share = materialize(counts * cotangent / _count(equal, out.dtype))
     medians, shares = (_near(x, footprint) for x in (out, share))
     return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]) / counts
 
 
+def _radius(footprint: str) -> int:
+    return max(dy for dy, _ in MEDIANS[footprint][1])
+
+
 def _near(plane: jax.Array, footprint: str) -> list[jax.Array]:
-    offsets = MEDIANS[footprint][1]
-    radius = max(dy for dy, _ in offsets)
-    return views(reflect(plane, radius), offsets, radius)
+    radius = _radius(footprint)
+    return views(reflect(plane, radius), MEDIANS[footprint][1], radius)
 
 
 def _count(equal: list[jax.Array], dtype: jnp.dtype) -> jax.Array:

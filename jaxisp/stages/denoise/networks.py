@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from jaxisp.numerics import materialize
 from jaxisp.stages.denoise.filters import reflect
-from jaxisp.windows import in_strips_on_cpu, views
+from jaxisp.striping import in_strips_on_cpu
+from jaxisp.windows import views
 
 Network = tuple[tuple[int, int], ...]
 """Comparators (i, j): wire i gets the smaller and wire j the larger, in order."""

@@ -1,8 +1,4 @@
-"""Light on its way to the sensor: exposure, shading, glare and where the lens puts it.
-
-The blurs are in `jaxisp.stages.blur`. Radii here are measured from the image centre,
-((H-1)/2, (W-1)/2), and are 1 at the centres of the corner pixels.
-"""
+"""Where the lens puts the light: chromatic aberration and distortion."""
 
 import math
 from functools import reduce
@@ -17,70 +13,13 @@ from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize, planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.stages.blur import defocus as defocus
-from jaxisp.stages.blur import motion_blur as motion_blur
-from jaxisp.stages.blur import optical_blur as optical_blur
+from jaxisp.stages.optics.centre import from_centre, radius_squared
 from jaxisp.windows import pad, views
 
 _MOST_SCALING = 0.0102  # of |1/scale - 1| within the bounds of LateralChromaticAberration
 Places = tuple[jax.Array, jax.Array, jax.Array]  # an image, and rows and columns in it
 _STRIP = 1 << 16  # px whose gradient goes back at once: the memory of a large frame's would take long to get
 _MOST_SHIFTS = 3  # px; beyond this displacement gathers cost less than sums over shifted views
-
-
-@parameters
-class Exposure:
-    """Exposure compensation."""
-
-    exposure_ev: Leaf = param(0.0, (-8.0, 8.0), "EV", doc="one more doubles the light")
-
-
-@register
-def exposure(params: Exposure, image: LinearRGB) -> LinearRGB:
-    """Give more or less light.
-
-    `y = 2**exposure_ev * x`, not clipped.
-
-    Args:
-        params: exposure [EV].
-        image: (H, W, 3) linear light, any range.
-
-    Returns:
-        (H, W, 3) linear light.
-
-    Gradient: exact.
-
-    Source: Jaroensri et al. 2019, section 3.
-    """
-    return image * jnp.exp2(jnp.asarray(params.exposure_ev, image.dtype))
-
-
-@parameters
-class AffineExposure:
-    """A gain and a pedestal."""
-
-    gain: Leaf = param(1.0, (1 / 64, 64.0), "1", log=True, doc="multiplies the light")
-    offset: Leaf = param(0.0, (-0.5, 0.5), "level", doc="is added after the gain")
-
-
-@register
-def affine_exposure(params: AffineExposure, image: LinearRGB) -> LinearRGB:
-    """Scale the light and add a constant.
-
-    `y = gain * x + offset`, not clipped.
-
-    Args:
-        params: gain; offset in shares of the white level.
-        image: (H, W, 3) linear light, any range.
-
-    Returns:
-        (H, W, 3) linear light.
-
-    Gradient: exact.
-
-    Source: Jaroensri et al. 2019, section 3.
-    """
-    return image * jnp.asarray(params.gain, image.dtype) + jnp.asarray(params.offset, image.dtype)
 
 
 @parameters
@@ -116,7 +55,7 @@ def lateral_chromatic_aberration(params: LateralChromaticAberration, image: Line
 
 def _magnified(plane: jax.Array, scale: jax.Array) -> jax.Array:
     """The plane scaled about its centre."""
-    y, x = _from_centre(plane.shape, plane.dtype)
+    y, x = from_centre(plane.shape, plane.dtype)
     change = 1 / jnp.asarray(scale, plane.dtype) - 1
     dy, dx = change * y, change * x
     reach_y, reach_x = (math.ceil(_MOST_SCALING * (n - 1) / 2) for n in plane.shape)
@@ -201,8 +140,8 @@ def geometric_distortion(params: GeometricDistortion, image: LinearRGB) -> Linea
     Source: Brown 1966, "Decentering distortion of lenses"; DNG Specification 1.6, WarpRectilinear
     with kr0 = 1, kr1 = k1, kr2 = k2 and the centre (0.5, 0.5).
     """
-    y, x = _from_centre(image.shape, image.dtype)
-    r2 = _radius_squared(image.shape, image.dtype)
+    y, x = from_centre(image.shape, image.dtype)
+    r2 = radius_squared(image.shape, image.dtype)
     change = r2 * (jnp.asarray(params.k1, image.dtype) + jnp.asarray(params.k2, image.dtype) * r2)
     return _displaced(image, change * y, change * x)
 
@@ -306,119 +245,3 @@ def _spread(total: jax.Array, y: jax.Array, x: jax.Array, values: jax.Array) -> 
         updates, mode = pairs.reshape(-1, 2 * channels), lax.GatherScatterMode.PROMISE_IN_BOUNDS
         flat = lax.scatter_add(flat, index + step, materialize(updates), numbers, mode=mode)
     return flat.reshape(total.shape)
-
-
-@parameters
-class Vignetting:
-    """Coefficients of the gain in EV; their sum is the gain in the corners."""
-
-    a2: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**2; negative darkens the corners")
-    a4: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**4")
-    a6: Leaf = param(0.0, (-3.0, 3.0), "EV", doc="coefficient of r**6")
-
-
-@register
-def vignetting(params: Vignetting, image: LinearRGB) -> LinearRGB:
-    """Darken, or brighten, the picture towards its corners.
-
-    `y = x * 2**(a2 r**2 + a4 r**4 + a6 r**6)`, with r = 1 in the corner. The exponent keeps the gain
-    positive, and the opposite coefficients are the correction.
-
-    Args:
-        params: coefficients [EV].
-        image: (H, W, 3) linear light, any range.
-
-    Returns:
-        (H, W, 3) linear light, not clipped.
-
-    Gradient: exact.
-
-    Source: Goldman 2010, "Vignette and exposure calibration and compensation": its even polynomial,
-    here of the logarithm; r as in DNG's FixVignetteRadial.
-    """
-    r2 = _radius_squared(image.shape, image.dtype)
-    return image * _radial_gain(r2, params.a2, params.a4, params.a6)[..., None]
-
-
-@parameters
-class ColorShading:
-    """Coefficients of the gains of red and blue against green, in EV."""
-
-    red_a2: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for red")
-    red_a4: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for red")
-    blue_a2: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**2 for blue")
-    blue_a4: Leaf = param(0.0, (-1.5, 1.5), "EV", doc="coefficient of r**4 for blue")
-
-
-@register
-def color_shading(params: ColorShading, image: LinearRGB) -> LinearRGB:
-    """Let the colour drift towards the corners; green stays.
-
-    `y_c = x_c * 2**(c_a2 r**2 + c_a4 r**4)` for c red and blue, with r = 1 in the corner.
-
-    Args:
-        params: coefficients [EV].
-        image: (H, W, 3) linear light, any range.
-
-    Returns:
-        (H, W, 3) linear light, not clipped.
-
-    Gradient: exact.
-
-    Source: as `vignetting`, one gain a colour (DNG Specification 1.6: a FixVignetteRadial a plane).
-    """
-    r2 = _radius_squared(image.shape, image.dtype)
-    r, g, b = planes(image)
-    red = _radial_gain(r2, params.red_a2, params.red_a4)
-    return jnp.stack([r * red, g, b * _radial_gain(r2, params.blue_a2, params.blue_a4)], axis=-1)
-
-
-def _radial_gain(r2: jax.Array, *coefficients: jax.Array) -> jax.Array:
-    """2 to the even polynomial of r."""
-    ev = jnp.zeros_like(r2)
-    for a in reversed(coefficients):
-        ev = r2 * (jnp.asarray(a, r2.dtype) + ev)
-    return jnp.exp2(ev)
-
-
-@parameters
-class VeilingGlare:
-    """Stray light."""
-
-    share: Leaf = param(0.0, (0.0, 0.5), "1", doc="of the light that is spread over the frame")
-
-
-@register
-def veiling_glare(params: VeilingGlare, image: LinearRGB) -> LinearRGB:
-    """Spread a share of the light evenly over the frame: blacks are lifted, the mean stays.
-
-    `y = (1 - share) x + share * mean(x)`, the mean of each channel.
-
-    Args:
-        params: share.
-        image: (H, W, 3) linear light, any range.
-
-    Returns:
-        (H, W, 3) linear light.
-
-    Gradient: exact.
-
-    Source: ISO 9358:1994 (veiling glare index), for glare that is uniform over the frame.
-    """
-    share = jnp.asarray(params.share, image.dtype)
-    mean = image.mean(axis=0).mean(axis=0)  # in two steps, which rounds less on a large image
-    return image + share * (mean - image)
-
-
-def _from_centre(shape: tuple[int, ...], dtype: jnp.dtype) -> tuple[jax.Array, jax.Array]:
-    """(H, 1) and (1, W): rows and columns from the image centre, px."""
-    y = jnp.arange(shape[0], dtype=dtype) - (shape[0] - 1) / 2
-    x = jnp.arange(shape[1], dtype=dtype) - (shape[1] - 1) / 2
-    return y[:, None], x[None, :]
-
-
-def _radius_squared(shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
-    """(H, W): squared distance from the centre, 1 at the centres of the corner pixels."""
-    y, x = _from_centre(shape, dtype)
-    corner = ((shape[0] - 1) ** 2 + (shape[1] - 1) ** 2) / 4
-    return (y * y + x * x) / max(corner, 1)
