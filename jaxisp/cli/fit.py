@@ -25,6 +25,9 @@ def add_commands(commands: Any) -> None:
         "--median", default="auto", metavar="SIZE", help="none, cross, 3x3, 5x5 or auto (default auto)"
     )
     command.add_argument(
+        "--starts", type=positive, default=1, help="settings to start from; the best is taken (default 1)"
+    )
+    command.add_argument(
         "--per-image",
         default="",
         metavar="NAMES",
@@ -41,14 +44,17 @@ def run(arguments: Namespace) -> int:
     from jaxisp.fit.report import write_report
     from jaxisp.io import output_folder
 
-    for path in filter(None, (arguments.out, arguments.recipe)):
-        output_folder(Path(path).parent)  # a fault here should not cost a fit
+    for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
+        output_folder(Path(path).parent)
+    if arguments.report:
+        output_folder(arguments.report)
     with progress("fitting") as tick:
         result = fit_dataset(
             arguments.dataset,
             steps=arguments.steps,
             demosaic=arguments.demosaic,
             median=arguments.median,
+            starts=arguments.starts,
             per_image=[name for name in arguments.per_image.split(",") if name],
             journal=beside(arguments.out),
             tick=tick,
@@ -63,8 +69,8 @@ def run(arguments: Namespace) -> int:
             print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
     if arguments.json:
         print_json({"camera": arguments.out, **result.as_dict()})
-        return report_failures(result.failed)
-    _print(result, arguments.out)
+    else:
+        _print(result, arguments.out)
     return report_failures(result.failed)
 
 

@@ -2,8 +2,8 @@
 
 from jaxisp.fit.dataset import fit_dataset
 from jaxisp.fit.fitter import fit_examples
+from jaxisp.fit.pair import Example
 from jaxisp.fit.prior import prior_from_cameras
 from jaxisp.fit.result import FitResult, PairResult
-from jaxisp.fit.tiles import Example
 
 __all__ = ["Example", "FitResult", "PairResult", "fit_dataset", "fit_examples", "prior_from_cameras"]

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit.planes import SAMPLE, SMALLEST, factors, luma, normalise, ranks, reduce
+from jaxisp.fit.sampling import sample
 from jaxisp.io.orientation import INVERSE, orient
 
 PATCH = 30.0  # px whose normalised values are about as good as one independent one
@@ -95,7 +96,7 @@ def warp(image: jax.Array, alignment: Alignment, shape: tuple[int, ...] | None =
     h, w = image.shape[:2] if shape is None else shape[:2]
     rows = _positions(h, image.shape[0], alignment.scale_y, alignment.dy, jnp.arange(h, dtype=image.dtype))
     columns = _positions(w, image.shape[1], alignment.scale_x, alignment.dx, jnp.arange(w, dtype=image.dtype))
-    return _sample(jnp, _sample(jnp, image, rows, 0), columns, 1)
+    return sample(jnp, sample(jnp, image, rows, 0), columns, 1)
 
 
 def covered(
@@ -149,24 +150,19 @@ def _positions(size: int, moved_size: int, scale: Any, shift: Any, index: jax.Ar
     return (moved_size - 1) / 2 + scale * (index - (size - 1) / 2) + shift
 
 
-def cubic_weights(t: Any) -> tuple[Any, ...]:
-    """Of the samples at -1, 0, 1 and 2 for a place `t` in [0, 1) after the one at 0."""
-    return (
-        t * (-0.5 + t * (1 - 0.5 * t)),
-        1 + t * t * (-2.5 + 1.5 * t),
-        t * (0.5 + t * (2 - 1.5 * t)),
-        t * t * (-0.5 + 0.5 * t),
-    )
+def recolored(still: np.ndarray, moving: np.ndarray, alignment: Alignment, factor: int) -> np.ndarray:
+    """A colour picture reduced by `factor` to one plane that resembles `still`, which is; see `_recolor`.
 
-
-def _sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
-    """Cubic convolution along one axis, in NumPy or JAX; `xp` says which."""
-    first = xp.floor(positions)
-    t = (positions - first).reshape((-1,) + (1,) * (image.ndim - 1 - axis))
-    weights = cubic_weights(t)
-    index = xp.clip(first, -4, image.shape[axis] + 4).astype(np.int32)
-    taps = (xp.take(image, xp.clip(index + k - 1, 0, image.shape[axis] - 1), axis=axis) for k in range(4))
-    return sum(w * tap for w, tap in zip(weights, taps))
+    Args:
+        still: plane of the reference, reduced.
+        moving: (H, W, 3), not reduced.
+        alignment: of the whole pictures, of which the reference is as large as its plane says.
+        factor: of the reduction.
+    """
+    center, moved_center = (factor * np.asarray(still.shape) - 1) / 2, (np.asarray(moving.shape[:2]) - 1) / 2
+    scale = np.asarray([alignment.scale_y, alignment.scale_x], float)
+    place = _Place(moved_center + np.asarray([alignment.dy, alignment.dx], float) - scale * center, scale)
+    return _recolor(still, [reduce(moving[..., c], factor) for c in range(3)], place.at(factor))
 
 
 def _recolor(still: np.ndarray, channels: list[np.ndarray], place: _Place) -> np.ndarray:
@@ -215,7 +211,7 @@ def _peaks(a: np.ndarray, b: np.ndarray, count: int = 6) -> list[np.ndarray]:
 
 def _view(moved: np.ndarray, place: _Place, shape: tuple[int, ...]) -> np.ndarray:
     for axis in (0, 1):
-        moved = _sample(np, moved, place.offset[axis] + place.scale[axis] * np.arange(shape[axis]), axis)
+        moved = sample(np, moved, place.offset[axis] + place.scale[axis] * np.arange(shape[axis]), axis)
     return moved
 
 

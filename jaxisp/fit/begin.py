@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxisp.fit import model
 from jaxisp.fit.lens import STRAIGHT, Lens
-from jaxisp.fit.solve import View
+from jaxisp.fit.state import View
 from jaxisp.fit.tiles import HALO, Chunk
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix

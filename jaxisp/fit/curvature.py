@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxisp.fit.sharing import CAMERA, IMAGE
-from jaxisp.fit.solve import Equations, Fit, State
+from jaxisp.fit.solve import Fit
+from jaxisp.fit.state import Equations, State
 from jaxisp.params import specs
 
 PATCH = 10.0  # px whose residuals are about as good as one independent one

@@ -3,11 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxisp.errors import InputError
 from jaxisp.fit.fitter import fit_examples
+from jaxisp.fit.pair import Example
 from jaxisp.fit.result import FitResult
-from jaxisp.fit.tiles import Example
-from jaxisp.io import Pair, open_dataset
+from jaxisp.io import Jpeg, Pair, open_dataset
 
 
 class _Lazy:
@@ -19,7 +21,14 @@ class _Lazy:
     def __call__(self) -> Example:
         loaded = self.pair.load()
         assert loaded.raw is not None, "a raw+jpeg pair has one"
-        return Example(self.name, loaded.raw, loaded.picture, loaded.jpeg)
+        jpeg = loaded.jpeg if loaded.jpeg is not None and _as_stored(loaded.jpeg, loaded.picture) else None
+        return Example(self.name, loaded.raw, loaded.picture, jpeg)
+
+
+def _as_stored(jpeg: Jpeg, picture: np.ndarray) -> bool:
+    """Whether a picture lies as its file does: turned to its RAW, it is not on its encoder's grid."""
+    thin = (slice(None, None, 31), slice(None, None, 31))
+    return np.array_equal(jpeg.pixels[thin].astype(np.float32) / np.float32(255), picture[thin])
 
 
 def fit_dataset(folder: str | Path, **options: Any) -> FitResult:

@@ -2,14 +2,16 @@
 
 import dataclasses
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from jaxisp.fit import noise
+from jaxisp.fit.pair import Example
 from jaxisp.fit.render import render, similarity
 from jaxisp.fit.result import PairResult
-from jaxisp.fit.solve import Fit, State
-from jaxisp.fit.tiles import Example, Shot, Split, split
+from jaxisp.fit.solve import Fit
+from jaxisp.fit.state import State
+from jaxisp.fit.tiles import Shot, Split, split
 from jaxisp.io import orient
 from jaxisp.metrics import psnr
 
@@ -26,7 +28,7 @@ def evaluate(fit: Fit, state: State, pair: int, shot: Shot, example: Example) ->
     example = dataclasses.replace(example, picture=target)
     masks = split(target, shot.alignment, example.raw.mosaic.shape, shot.lens)
     vector, place = fit.vector(state, pair), state.places[pair]
-    done = render(fit, vector, shot, example)
+    done = render(fit, vector, pair, shot, example)
     similar = similarity(done, target)
     shift = shot.geometry[:2] + place[:2]
     whole = shot.geometry + np.append(np.rint(shift) - shift, [0, 0]).astype(np.float32)
@@ -39,18 +41,23 @@ def evaluate(fit: Fit, state: State, pair: int, shot: Shot, example: Example) ->
         _psnr(done, target, masks.held_out),
         float(similar[masks.held_out].mean()),
         (-float(shift[0]), -float(shift[1])),
-        _middle(render(fit, fit.vector(fit.start, pair), shot, example, where=shown)),
+        _middle(render(fit, fit.vector(fit.start, pair), pair, shot, example, where=shown)),
         _middle(done),
         _middle(target),
         _noise(done, target, masks.held_out),
-        _psnr(render(fit, vector, shot, example, whole, masks.held_out), target, masks.held_out),
+        _psnr(render(fit, vector, pair, shot, example, whole, masks.held_out), target, masks.held_out),
         notes=shot.notes,
     )
     return dataclasses.replace(result, flags=_flags(result, done, target, masks))
 
 
 def _psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
-    return float(psnr(jnp.asarray(a), jnp.asarray(b), mask=jnp.asarray(mask)))
+    return float(_masked_psnr(a, b, mask))
+
+
+@jax.jit
+def _masked_psnr(a: jax.Array, b: jax.Array, mask: jax.Array) -> jax.Array:
+    return psnr(a, b, mask=mask)
 
 
 def _middle(image: np.ndarray, copy: bool = True) -> np.ndarray:
@@ -64,8 +71,11 @@ def _noise(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, 
     h, w = (n // noise.BLOCK * noise.BLOCK for n in target.shape[:2])
     done, target, mask = done[:h, :w], target[:h, :w], mask[:h, :w]
     found = noise.regions(target, mask)
-    sums = [np.asarray(noise.moments(jnp.asarray(p), found.flat, found.edges)) for p in (done, target)]
+    sums = [np.asarray(_moments(p, found.flat, found.edges)) for p in (done, target)]
     return noise.report(sums[0], sums[1], found.levels)
+
+
+_moments = jax.jit(noise.moments)
 
 
 def _flags(pair: PairResult, done: np.ndarray, target: np.ndarray, masks: Split) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ Half the picture, in a checkerboard of tiles, is fitted; every held-out figure c
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,15 @@ from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.curvature import Identified, standard_errors
 from jaxisp.fit.evaluate import evaluate
-from jaxisp.fit.journal import Journal, fingerprint
+from jaxisp.fit.journal import Journal, alone, fingerprint
 from jaxisp.fit.lens import Lens
+from jaxisp.fit.pair import FROM_FILE, Example
+from jaxisp.fit.program import compile_for
 from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.fit.search import Options, Outcome, Search, Tick
 from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
-from jaxisp.fit.tiles import FROM_FILE, HOW, TILES, Example, Shot, prepare
+from jaxisp.fit.threads import ahead
+from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
 from jaxisp.params import specs
 from jaxisp.pipeline import Params
 from jaxisp.recipe import Recipe
@@ -44,6 +48,7 @@ def fit_examples(
     place: str = "camera",
     per_image: Sequence[str] = (),
     fixed: Sequence[str] = FIXED_NAMES,
+    starts: int = 1,
     journal: str | Path | None = None,
     tick: Tick = lambda done, total, text: None,
 ) -> FitResult:
@@ -59,7 +64,9 @@ def fit_examples(
         per_image: parameters that each image has of its own: stages, `stage.field`s, "tone", "colour".
             The camera gets their mean.
         fixed: parameters that stay where they start.
+        starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
         journal: a file for what is done, from which a stopped fit goes on; removed when the fit is done.
+            One process at a time.
         tick: called with (done, total, text).
 
     Returns:
@@ -67,14 +74,21 @@ def fit_examples(
         that no global camera can have made have `flags`.
 
     Raises:
-        InputError: no pair can be fitted, or there is no such choice.
+        InputError: no pair can be fitted, there is no such choice, or another process has the journal.
     """
-    clock = time.perf_counter()
-    options = Options(steps, demosaic, median, place, tuple(per_image), tuple(fixed))
+    options = Options(steps, demosaic, median, place, tuple(per_image), tuple(fixed), starts)
     _check(options)
-    shots, failed = _prepared(examples, tick)
+    with alone(journal):
+        return _fitted(examples, options, journal, tick)
+
+
+def _fitted(examples: Sequence[Given], options: Options, journal: str | Path | None, tick: Tick) -> FitResult:
+    clock = time.perf_counter()
+    shots, failed, begun = _prepared(examples, options, tick)
     book = Journal.open(journal, fingerprint(options, *_contents([s for _, s in shots])))
     search = Search([s for _, s in shots], options, book, tick)
+    for compiled in begun:
+        compiled.result()
     outcome = search.run()
     pairs = _measured(outcome, shots)
     bad = [i for i, pair in enumerate(pairs) if pair.flags]
@@ -101,11 +115,23 @@ def _check(options: Options) -> None:
     for what, (given, names) in known.items():
         if given not in names:
             raise InputError(f"{given!r} is no {what}; there are {', '.join(names)}")
+    if not 1 <= options.starts <= len(model.starts()):
+        raise InputError(f"{options.starts} starts: there are 1 to {len(model.starts())}")
+
+
+def _ahead(options: Options, shot: Shot) -> list["Future[Any]"]:
+    """Begin to compile what the fit of a pair like this one needs, while others are still aligned."""
+    return [
+        ahead(lambda: compile_for(options.problem(shot.jpeg))),
+        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, design) for design in options.designs]),
+    ]
 
 
 def _prepared(
-    examples: Sequence[Given], tick: Tick
-) -> tuple[list[tuple[Given, Shot]], list[tuple[str, str]]]:
+    examples: Sequence[Given], options: Options, tick: Tick
+) -> tuple[list[tuple[Given, Shot]], list[tuple[str, str]], list["Future[Any]"]]:
+    """The pairs that can be fitted, why others cannot, and what is being compiled."""
+    begun: list[Future[Any]] = []
     shots, failed = [], []
     most = min(_MOST_TILES, TILES * max(1, _MOST_CHUNKS // max(len(examples), 1)))
     for index, example in enumerate(examples):
@@ -115,11 +141,12 @@ def _prepared(
             loaded = example() if callable(example) else example
             name = loaded.name
             shots.append((example, prepare(loaded, most)))
+            begun = begun or _ahead(options, shots[0][1])
         except InputError as error:
             failed.append((name, str(error)))
     if not shots:
         raise InputError("; ".join(reason for _, reason in failed) or "no RAW+JPEG pair to fit")
-    return shots, failed
+    return shots, failed, begun
 
 
 def _contents(shots: Sequence[Shot]) -> list[Any]:
@@ -164,7 +191,8 @@ def _result(
 ) -> FitResult:
     each = [canonical(_params(outcome, i)) for i in range(len(shots))]
     params = each[0] if len(each) == 1 or not outcome.fit.problem.layout.size(IMAGE) else mean_of(each)
-    identified = standard_errors(outcome.fit, outcome.state, outcome.fit.equations(outcome.state))
+    plain = outcome.fit.without_encoder()  # what it rounds is the noise that parameters are told in
+    identified = standard_errors(plain, outcome.state, plain.equations(outcome.state))
     unused = set(params) - set(model.fitted(outcome.design).init())
     identified = [_restated(p, params) for p in identified if p.name.split(".")[0] not in unused]
     own = {

@@ -1,17 +1,20 @@
 """A fit that was stopped goes on where it was: what is done stands in a file beside the output."""
 
 import base64
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxisp.fit.solve import State
+from jaxisp.fit.state import State
 from jaxisp.io import atomic_write
+from jaxisp.io.locks import locked
 
 VERSION = 1
 
@@ -60,6 +63,21 @@ class Journal:
         """The fit is done."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def alone(path: str | Path | None) -> Iterator[None]:
+    """Keep other processes from a journal, and so from the fit that it is of.
+
+    Raises:
+        InputError: another process has it, or its folder cannot be written.
+    """
+    if path is None:
+        yield
+        return
+    path = Path(path)
+    with locked(path.parent, name=f".{path.name}.lock", doing="fitting"):
+        yield
 
 
 def fingerprint(*parts: Any) -> str:

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.fit.align import PATCH, SCALE_DEVIATION, Alignment, cubic_weights
+from jaxisp.fit.align import PATCH, SCALE_DEVIATION, Alignment, recolored
 from jaxisp.fit.model import LENS
 from jaxisp.fit.planes import factors, luma, normalise, reduce
+from jaxisp.fit.sampling import cubic
 from jaxisp.pipeline import Params
 
 SMALLEST = 0.1  # px in the corner that distortion or lateral colour must reach to be kept
@@ -101,23 +102,11 @@ def covered(
     return np.asarray((np.abs(y) <= -first[0]) & (np.abs(x) <= -first[1]))
 
 
-def cubic(xp: Any, plane: Any, y: Any, x: Any) -> Any:
-    """Cubic convolution of (H, W) at (h, w) places [px]; the border goes on."""
-    h, w = plane.shape
-    top, left = xp.floor(y), xp.floor(x)
-    rows, columns = (
-        xp.stack([xp.clip(start + k - 1, 0, n - 1).astype(np.int32) for k in range(4)])
-        for start, n in ((top, h), (left, w))
-    )
-    read = xp.take(plane.reshape(-1), rows[:, None] * w + columns)  # (4, 4, ...) in one gather
-    weights_y, weights_x = (xp.stack(cubic_weights(t)) for t in (y - top, x - left))
-    return (weights_y * (weights_x * read).sum(1)).sum(0)
-
-
 def radial(reference: np.ndarray, moving: np.ndarray, alignment: Alignment) -> tuple[Alignment, float]:
     """The alignment with the radial distortion that explains the two better, and its k1; 0 where none does.
 
-    Found at a reduced size by Levenberg-Marquardt, together with shift and scale; a start for the fit.
+    Looked for at a reduced size by Levenberg-Marquardt, together with shift and scale; what is found is
+    refined at full size and on one plane of all colours, for the first falls short by a tenth.
 
     Args:
         reference: (H, W, 3) the camera's picture.
@@ -125,15 +114,21 @@ def radial(reference: np.ndarray, moving: np.ndarray, alignment: Alignment) -> t
         alignment: what `estimate` found.
     """
     still, moved = luma("reference", reference), luma("moving", moving)
-    factor = factors(still.shape, moved.shape)[0]
-    a, b = (normalise(reduce(p, factor)) for p in (still, moved))
-    view = partial(_view, a, b, factor, still.shape, moved.shape)
+    coarse, fine = (factors(still.shape, moved.shape)[i] for i in (0, -1))
+
+    def view(factor: int, b: np.ndarray) -> Any:
+        planes = normalise(reduce(still, factor)), normalise(b)
+        return partial(_view, *planes, factor, still.shape, moved.shape)
+
     start = np.asarray([alignment.dy, alignment.dx, alignment.scale_y, alignment.scale_x, 0.0], float)
-    found, score = _climbed(view, start, start, np.arange(5))
-    _, plain = _climbed(view, start, start, np.arange(4))
+    seen = view(coarse, reduce(moved, coarse))
+    found, score = _climbed(seen, start, start, np.arange(5))
+    _, plain = _climbed(seen, start, start, np.arange(4))
     corner = np.hypot(*(n - 1 for n in moved.shape)) / 2
     if score < plain + _CERTAIN or abs(found[4]) * corner < SMALLEST:
         return alignment, 0.0
+    colored = recolored(reduce(still, fine), np.asarray(moving, np.float64), alignment, fine)
+    found, _ = _climbed(view(fine, colored), found, start, np.arange(5))
     dy, dx, scale_y, scale_x, k1 = (float(v) for v in found)
     return Alignment(dy, dx, scale_y, scale_x, alignment.correlation), k1
 

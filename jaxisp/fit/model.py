@@ -1,7 +1,7 @@
 """The camera that is fitted: its stages, the discrete choices among them, and where each fit starts."""
 
 import dataclasses
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -24,6 +24,9 @@ DEMOSAICKERS = (
     "demosaic_ahd",
     "demosaic_menon",
     "demosaic_hibbard",
+    "demosaic_hamilton_adams",
+    "demosaic_vng",
+    "demosaic_edge_aware",
     "demosaic_bilinear",
 )
 MEDIANS = (None, "cross", "3x3", "5x5")
@@ -157,6 +160,22 @@ def start() -> Params:
     }
 
 
+def starts() -> list[Params]:
+    """What differs from `start` in each setting that a fit may begin at; the first is `start` itself."""
+    strong = Bilateral(
+        luma_sigma_space=3.0, luma_sigma_range=0.1, chroma_sigma_space=4.0, chroma_sigma_range=0.2
+    )
+    weak = Bilateral(
+        luma_sigma_space=0.6, luma_sigma_range=0.01, chroma_sigma_space=0.8, chroma_sigma_range=0.02
+    )
+    return [
+        {},
+        {"bilateral": strong, "unsharp_mask": UnsharpMask(amount=1.0, sigma=1.0, threshold=0.0)},
+        {"bilateral": weak, "unsharp_mask": UnsharpMask(amount=0.1, sigma=2.0, threshold=0.0)},
+        {"gamma_compression": Gamma(gamma=1.4), "s_curve": SCurve(strength=0.5, midpoint=0.35)},
+    ]
+
+
 def sampled(jpeg: Jpeg | None) -> Params:
     """The parameters of chroma sampling as a JPEG file states it; none where it is full."""
     horizontal, vertical = _HALVED.get(jpeg.subsampling, (0.0, 0.0)) if jpeg else (0.0, 0.0)
@@ -166,10 +185,16 @@ def sampled(jpeg: Jpeg | None) -> Params:
 _HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 
+def encodable(jpeg: Jpeg | None) -> TypeGuard[Jpeg]:
+    """Whether there is a file whose encoder is among the stages."""
+    sampled = ("4:4:4", "4:2:2", "4:2:0")
+    return jpeg is not None and jpeg.subsampling in sampled and jpeg.color_space == "YCbCr"
+
+
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:
     """The chain with the JPEG encoder that wrote `jpeg` at its end, and its parameters: the file's own
     tables, which are set and not fitted. No encoder where there is no file or its sampling is a rare one."""
-    if jpeg is None or jpeg.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
+    if not encodable(jpeg):
         return chain, {}
     encoder = stage("jpeg_tables", subsampling=jpeg.subsampling)
     tables = [np.asarray(t, np.float32) for t in (jpeg.luma_table, jpeg.chroma_table)]

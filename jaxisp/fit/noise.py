@@ -22,6 +22,8 @@ _FLAT_SHARE = 0.35  # of the blocks of one intensity, the flattest
 _EDGE_SHARE = 0.04  # of the pixels, the steepest
 _FEWEST = 4  # blocks that make a figure
 KINDS = ("luma", "chroma")
+SUMS = BINS * 2 * 3 + 2
+"""What `moments` returns: how many."""
 _ROUNDING = np.asarray([0.447, 0.410]) / 12 / 255**2  # variance of 8-bit RGB in luma, in Cb and Cr on average
 
 
@@ -74,7 +76,7 @@ def moments(image: Any, flat: Any, edges: Any) -> jax.Array:
         flat, edges: of `Regions`.
 
     Returns:
-        (BINS * 2 * 3 + 2,): per bin and kind the weight, the sum of squares and of neighbour products
+        (SUMS,): per bin and kind the weight, the sum of squares and of neighbour products
         of the noise; the weight of edges, and the sum of squared detail there.
     """
     y, cb, cr = rgb_to_ycbcr_planes(*planes(image))

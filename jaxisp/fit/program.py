@@ -2,12 +2,13 @@
 
 Derivatives are forward differences. The neighbourhood stages have reverse-mode rules only, and a
 Jacobian with one column a parameter needs the other direction; it also costs less to compile, and
-sees through rounding, medians and choices. Denoising is rendered again only for the parameters
-before or in it; the others start from what it gave. What is switched off (the lens, until it shows; a
-median that is not there) is not rendered.
+sees through rounding, medians and choices. Reading the tiles and denoising are done again only for the
+parameters before or in them; the others start from what they gave. What is switched off (the lens, until
+it shows; a median that is not there) is not rendered.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,116 +17,41 @@ import numpy as np
 
 from jaxisp.color import rgb_to_ycbcr_planes
 from jaxisp.fit import lens, model, noise
-from jaxisp.fit.align import _sample
-from jaxisp.fit.sharing import CAMERA, IMAGE, Layout
-from jaxisp.fit.tiles import HALO, SIDE, TILES, Chunk
+from jaxisp.fit.problem import UNITS, Given, Normal, Problem
+from jaxisp.fit.sampling import sample
+from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
+from jaxisp.fit.tiles import HALO, SIDE, TILE, TILES, Chunk, no_chunk
 from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import Chain, Params, stage
+from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.optics import _radial_gain
 
-GEOMETRY = ("shift_y", "shift_x", "scale_y", "scale_x")
-UNITS = (1.0, 1.0, 1e-3, 1e-3)
-"""Of the geometry on the real line: px, and a thousandth."""
-STEP = 3e-3  # of a difference, on the real line; px for the geometry
-STEP_DISTORTION = 0.2  # of that, for distortion: a step moves the corner by a small share of a pixel
+AFTER = 8  # px of the halo that are seen after denoising: unsharp mask 6, chroma sampling 2
 ROBUST = 0.02  # level; larger residuals count less than by their square
 CHROMA = 0.5  # weight of a squared error of Cb or Cr against one of luma
 
 
-class Normal(NamedTuple):
-    """One chunk at a place: its normal equations, and the sums for the noise statistics with their slopes.
+def _places(at: Any, geometry: jax.Array, optics: lens.Lens, corner: Any) -> tuple[list[jax.Array], Any]:
+    """Rows and columns of a tile from the RAW's centre, before the lens, and its pixels' squared radius.
 
-    Args:
-        matrix, vector: (columns, columns) and (columns,) of the robust residual.
-        loss: its sum.
-        weight: how many pixels.
-        sums, slopes: for the statistics, and (columns, m) how they move.
-        jacobian: (columns, N) of the plain residual.
-        chord: (columns,) the gradient of the loss with the Jacobian that was given.
-        render: the tiles.
-    """
-
-    matrix: Any
-    vector: Any
-    loss: Any
-    weight: Any
-    sums: Any
-    slopes: Any
-    jacobian: Any
-    chord: Any
-    render: Any
-
-
-class Given(NamedTuple):
-    """What is known while one pair is fitted.
-
-    Args:
-        fixed: the parameters that do not move (and, for the rest, their classes).
-        median: index in `model.MEDIANS`.
-        geometry: (4,) shift [px] and scale in y and x that the alignment found.
-        bends: whether the lens is rendered.
-        moving: (columns,) which parameters move; the derivative of the others is 0.
-    """
-
-    fixed: Params
-    median: Any
-    geometry: Any
-    bends: Any
-    moving: Any
-
-
-class Problem(NamedTuple):
-    """The static part: where denoising is, and which parameters move. Hashable.
-
-    Demosaicking is done before, and the size of the median is traced: all designs share one compile.
-    """
-
-    place: str
-    layout: Layout
-
-    @property
-    def columns(self) -> list[tuple[str, str]]:
-        """(stage, field) of each column: the camera's, the image's, then the geometry."""
-        names = self.layout.names
-        return [*names[CAMERA], *names[IMAGE], *(("geometry", g) for g in GEOMETRY)]
-
-    @property
-    def before(self) -> list[int]:
-        """The columns that change what denoising gives."""
-        before, after = model.around_median(self.place)
-        stages = {"vignetting", "geometry", "median", *model.LENS, *before.names(), *after.names()}
-        return [i for i, (stage, _) in enumerate(self.columns) if stage in stages]
-
-    def moving(self, bends: bool, median: bool) -> np.ndarray:
-        """Which columns can change the picture."""
-        still = (() if bends else model.LENS) + (() if median else ("median",))
-        return np.asarray([stage not in still for stage, _ in self.columns])
-
-    @property
-    def steps(self) -> np.ndarray:
-        """Of the difference along each column."""
-        distorts = [stage == "geometric_distortion" for stage, _ in self.columns]
-        return np.where(distorts, STEP * STEP_DISTORTION, STEP).astype(np.float32)
-
-
-def _warped(
-    source: jax.Array, place: jax.Array, geometry: jax.Array, optics: lens.Lens, chunk: Chunk, bends: Any
-) -> Any:
-    """(SIDE, SIDE, 3) camera RGB under one tile of the picture, and its squared radius in the RAW.
-
-    geometry: shift [px] and scale, each in y and x.
+    at: of `Chunk.place`; geometry: shift [px] and scale, each in y and x.
     """
     index = jnp.arange(SIDE, dtype=jnp.float32)
-    lines = [geometry[2 + a] * (place[a] + index) + geometry[a] for a in range(2)]  # from the RAW's centre
+    lines = [geometry[2 + a] * (at[a] + index) + geometry[a] for a in range(2)]
+    y, x = optics.bent(lines[0][:, None], lines[1][None], corner)
+    return lines, (y * y + x * x) / corner
+
+
+def _warped(source: jax.Array, at: jax.Array, lines: Any, optics: lens.Lens, corner: Any, bends: Any) -> Any:
+    """(SIDE, SIDE, 3) camera RGB under one tile of the picture."""
 
     def straight() -> jax.Array:
-        return _sample(jnp, _sample(jnp, source, lines[0] - place[2], 0), lines[1] - place[3], 1)
+        return sample(jnp, sample(jnp, source, lines[0] - at[2], 0), lines[1] - at[3], 1)
 
     def bent() -> jax.Array:
-        return lens.warped(source, optics, lines[0], lines[1], place[2:], chunk.corner)
+        return lens.warped(source, optics, lines[0], lines[1], at[2:], corner)
 
-    y, x = optics.bent(lines[0][:, None], lines[1][None], chunk.corner)
-    return jax.lax.cond(bends, bent, straight), (y * y + x * x) / chunk.corner
+    return jax.lax.cond(bends, bent, straight)
 
 
 def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: jax.Array) -> jax.Array:
@@ -140,55 +66,100 @@ def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: 
     return after(params, materialize(image))
 
 
-def _renders(
-    problem: Problem, given: Given, vectors: jax.Array, moving: jax.Array, before: np.ndarray, chunk: Chunk
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The tiles rendered with each row of `vectors` (camera, image, geometry).
+def _each(render: Callable[..., Any], nothing: Any, wanted: jax.Array, *rows: Any) -> Any:
+    """`render` of each row that is wanted, `nothing` of the others."""
 
-    Rows that are not in `before` share the denoised picture of row 0, which must be; those that are not
-    `moving` are left out (zeros).
+    def one(row: Any) -> Any:
+        return jax.lax.cond(row[0], lambda: render(*row[1:]), lambda: nothing)
 
-    Returns:
-        (K, N) residuals, (K, m) sums for the noise statistics, and (T, TILE, TILE, 3) of row 0.
+    return jax.lax.map(one, (wanted, *rows))
+
+
+class Rendered(NamedTuple):
+    """Row 0 and one row a column: (K, N) residuals, (K, m) sums for the noise statistics, and the picture
+    that the encoder gets, (T, TILE, TILE, 3): row 0 with chroma as it was before sampling."""
+
+    residuals: jax.Array
+    sums: jax.Array
+    image: jax.Array
+
+
+def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Array, chunk: Chunk) -> Rendered:
+    """The tiles rendered with each row of `vectors` (camera, image, geometry), row 0 and one a column.
+
+    Each step is done again only for the columns that change it, the others share that of row 0; rows that
+    are not `wanted` are left out (zeros).
     """
-    layout, geometry = problem.layout, given.geometry
-    cameras = layout.size(CAMERA)
+    layout, cameras = problem.layout, problem.layout.size(CAMERA)
     last = cameras + layout.size(IMAGE)
     tail = model.back(problem.place)
+    warps, denoises = (np.asarray([0, *(1 + i for i in columns)]) for columns in problem.before)
 
     def params(vector: jax.Array) -> Params:
         return layout.params(given.fixed, vector[:cameras], vector[cameras:last])
 
-    def denoised(row: Any) -> jax.Array:
-        vector, wanted = row
-        return jax.lax.cond(wanted, denoise, lambda _: jnp.zeros((TILES, SIDE, SIDE, 3)), vector)
+    def lines(vector: jax.Array, at: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
+        return _places(at, given.geometry + vector[last:] * jnp.asarray(UNITS), optics, chunk.corner)
 
-    def denoise(vector: jax.Array) -> jax.Array:
-        values, place = params(vector), geometry + vector[last:] * jnp.asarray(UNITS)
+    def warp(vector: jax.Array) -> jax.Array:
+        optics = lens.Lens.of(params(vector))
 
         def tile(source: jax.Array, at: jax.Array) -> jax.Array:
-            warped, radius2 = _warped(source, at, place, lens.Lens.of(values), chunk, given.bends)
-            return _front(problem.place, given.median, values, materialize(warped), radius2)
+            return _warped(source, at, lines(vector, at, optics)[0], optics, chunk.corner, given.bends)
 
         return jax.vmap(tile)(chunk.source, chunk.place)
 
-    middles = jax.lax.map(denoised, (vectors[before], moving[before]))
-    which = np.zeros(vectors.shape[0], np.int32)
-    which[before] = np.arange(len(before))
+    def denoise(vector: jax.Array, index: jax.Array) -> jax.Array:
+        values = params(vector)
 
-    def finished(row: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-        vector, index, wanted = row
+        def tile(image: jax.Array, at: jax.Array) -> jax.Array:
+            radius2 = lines(vector, at, lens.Lens.of(values))[1]
+            return _front(problem.place, given.median, values, image, radius2)
 
-        def finish(middle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            images = jax.vmap(lambda image: tail(params(vector), image))(middle)
-            images = jnp.clip(images[:, HALO:-HALO, HALO:-HALO], 0, 1)  # as every file is
-            return _residual(images, chunk).ravel(), _sums(images, chunk), images
+        return jax.vmap(tile)(warped[index], chunk.place)
 
-        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(finish, middles[0]))
-        return jax.lax.cond(wanted, finish, lambda _: nothing, middles[index])
+    def finish(vector: jax.Array, index: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
+        values = params(vector)
+        shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
+        values |= {model.SAMPLING: shares}
+        images = jax.vmap(lambda image: tail(values, image))(denoised[index])
+        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
+        return _residual(images, chunk).ravel(), _sums(images, chunk), images
 
-    residuals, sums, images = jax.lax.map(finished, (vectors, jnp.asarray(which), moving))
-    return residuals, sums, images[0]
+    count, image = len(vectors), jnp.zeros((TILES, SIDE, SIDE, 3))
+    warped = _each(warp, image, wanted[warps], vectors[warps])
+    sources = _standing(warps, count)[denoises]
+    denoised = _each(denoise, image, wanted[denoises], vectors[denoises], sources)
+    seen = slice(HALO - AFTER, AFTER - HALO)
+    denoised = denoised[:, :, seen, seen]
+    nothing = jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)
+    rows = np.append(np.arange(count), 0)  # the last is what the encoder gets
+    needed = jnp.append(wanted, given.encodes)
+    sampled = np.append(np.ones(count, np.float32), np.float32(0))
+    of_rows = vectors[rows], _standing(denoises, count)[rows], sampled
+    residuals, sums, images = _each(finish, nothing, needed, *of_rows)
+    return Rendered(residuals[:-1], sums[:-1], jnp.where(given.encodes, images[-1], images[0]))
+
+
+def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
+    """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged without one."""
+    if problem.subsampling is None:
+        return images
+    encoder = stage("jpeg_tables", subsampling=problem.subsampling)
+    tables = JpegTables(luma_table=given.tables[0], chroma_table=given.tables[1])
+
+    def encode(images: jax.Array) -> jax.Array:
+        coded = jax.vmap(lambda image: encoder.apply({encoder.name: tables}, image, None))
+        return jnp.clip(coded(jnp.round(images * 255) / 255), 0, 1)
+
+    return jax.lax.cond(given.encodes, encode, lambda images: images, images)
+
+
+def _standing(rows: np.ndarray, count: int) -> np.ndarray:
+    """Where among `rows` each of `count` rows is; 0, the place of row 0, for those that are not there."""
+    which = np.zeros(count, np.int32)
+    which[rows] = np.arange(len(rows))
+    return which
 
 
 def _residual(render: jax.Array, chunk: Chunk) -> jax.Array:
@@ -211,17 +182,19 @@ def _sums(render: jax.Array, chunk: Chunk) -> jax.Array:
 def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk, near: Any) -> Normal:
     """The normal equations of one chunk at `vector`, which is (camera, image, geometry).
 
-    Where nothing moves it is one render; `near` is a Jacobian from a place nearby, or zeros.
+    Where nothing moves it is one render; `near` is a Jacobian from a place nearby, or zeros. Derivatives
+    are those before the encoder: what it rounds away in one pixel it adds in another.
     """
     steps = problem.steps
     vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
-    before = np.concatenate([[0], 1 + np.asarray(problem.before, int)]).astype(int)
-    moving = jnp.concatenate([jnp.ones(1, bool), given.moving])
-    residuals, sums, render = _renders(problem, given, vectors, moving, before, chunk)
-    loss, weight = _robust(residuals[0])
+    wanted = jnp.concatenate([jnp.ones(1, bool), given.moving])
+    done = _renders(problem, given, vectors, wanted, chunk)
+    compared = materialize(_compressed(problem, given, materialize(done.image)))
+    residual = _residual(compared, chunk).ravel()
+    loss, weight = _robust(residual)
     share = (given.moving / steps)[:, None]
-    jacobian = (residuals[1:] - residuals[0]) * share
-    weighted = weight * residuals[0]
+    jacobian = (done.residuals[1:] - done.residuals[0]) * share
+    weighted = weight * residual
 
     def product(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
@@ -234,12 +207,28 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
         product(jacobian, weighted),
         loss,
         chunk.mask.sum(),
-        sums[0],
-        (sums[1:] - sums[0]) * share,
+        _sums(compared, chunk),
+        (done.sums[1:] - done.sums[0]) * share,
         jacobian,
         product(near, weighted),
-        render,
+        done.image,
     )
+
+
+@functools.cache
+def no_jacobian(problem: Problem) -> jax.Array:
+    """What `near` is where nothing is known."""
+    return jnp.zeros((len(problem.columns), 3 * TILES * TILE * TILE))
+
+
+def compile_for(problem: Problem) -> None:
+    """Run `normal_equations` once on nothing: it takes far longer to compile than to run."""
+    start, columns = as_arrays(model.start()), len(problem.columns)
+    moving, still = np.zeros(columns, bool), np.asarray([0, 0, 1, 1], np.float32)
+    no, tables = np.bool_(False), np.ones((2, 8, 8), np.float32)
+    given = Given(start, np.int32(0), still, no, no, tables, moving)
+    vector = np.zeros(columns, np.float32)
+    jax.block_until_ready(normal_equations(problem, given, vector, no_chunk(), no_jacobian(problem)))
 
 
 @jax.jit

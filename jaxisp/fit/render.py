@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit import model
+from jaxisp.fit.pair import Example
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.tiles import TILE, TILES, Example, Shot, blank, padded, with_source
+from jaxisp.fit.threads import together
+from jaxisp.fit.tiles import TILE, TILES, Shot, blank, padded, with_source
 from jaxisp.io import Jpeg
 from jaxisp.metrics import ssim_map
 from jaxisp.pipeline import Chain, run
@@ -20,6 +22,7 @@ _STRIP_HALO = 16  # rows around, a multiple of 16 as the JPEG's largest unit
 def render(
     fit: Fit,
     vector: np.ndarray,
+    pair: int,
     shot: Shot,
     example: Example,
     moved: np.ndarray | None = None,
@@ -32,27 +35,29 @@ def render(
     Args:
         fit: whose choices and fixed parameters there are.
         vector: of the camera, the image and its geometry.
+        pair: which of the fit's it is.
         shot: where the picture lies.
         example: the picture, as the alignment turned it, and the RAW.
         moved: another shift and scale to start from than the alignment's.
         where: (H', W') the pixels that are wanted; tiles without one stay black.
     """
-    geometry = shot.geometry if moved is None else moved
     own = fit.without_sampling() if shot.jpeg else fit
-    given = own.given(geometry)._replace(moving=np.zeros_like(fit.moving))
+    given = own.given(pair, moved)._replace(moving=np.zeros_like(fit.moving))
     out = np.zeros(example.picture.shape, np.float32)
     mosaic = padded(example)
     h, w = example.picture.shape[:2]
     corners = [(y, x) for y in range(0, h, TILE) for x in range(0, w, TILE)]
     if where is not None:
         corners = [(y, x) for y, x in corners if where[y : y + TILE, x : x + TILE].any()]
-    for first in range(0, len(corners), TILES):
-        some = corners[first : first + TILES]
+
+    def one(some: list[tuple[int, int]]) -> None:
         chunk = with_source(blank(example, mosaic, shot, some), shot.cfa, fit.design)
         tiles = np.asarray(fit.normal(given, vector.astype(np.float32), chunk).render)
         for (y, x), tile in zip(some, tiles):
             part = out[y : y + TILE, x : x + TILE]
             part[:] = tile[: part.shape[0], : part.shape[1]]
+
+    together(one, [corners[first : first + TILES] for first in range(0, len(corners), TILES)])
     return compressed(np.round(out * 255) / 255, shot.jpeg)
 
 
@@ -68,11 +73,12 @@ def compressed(picture: np.ndarray, jpeg: Jpeg | None) -> np.ndarray:
 def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(H, W): the SSIM of each pixel's neighbourhood, the mean of the channels."""
     both = np.concatenate([a, b], axis=-1).astype(np.float32)
-    return in_strips(lambda part: _ssim(jnp.asarray(part)), both)
+    return in_strips(lambda part: np.asarray(_ssim(part)), both)
 
 
-def _ssim(both: jax.Array) -> np.ndarray:
-    return np.asarray(ssim_map(both[..., :3], both[..., 3:])).mean(-1)
+@jax.jit
+def _ssim(both: jax.Array) -> jax.Array:
+    return ssim_map(both[..., :3], both[..., 3:]).mean(-1)
 
 
 def in_strips(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:

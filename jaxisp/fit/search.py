@@ -10,20 +10,23 @@ from jaxisp.fit import model, noise
 from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
-from jaxisp.fit.program import GEOMETRY, Problem, sums_of
+from jaxisp.fit.problem import GEOMETRY, Problem
 from jaxisp.fit.sharing import CAMERA, IMAGE, Layout, sharing
-from jaxisp.fit.solve import Fit, State, View
+from jaxisp.fit.solve import Fit
+from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
-from jaxisp.pipeline import Chain, Params, run_batch
+from jaxisp.io import Jpeg
+from jaxisp.pipeline import Params
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
 FAR, STRESSED = (
     2.0,
     4,
 )  # tolerances that all intensities together may be off, and by what else they weigh more
-TRIAL = 1  # steps that each discrete choice gets: a second one changes no ranking
+TRIAL = 1  # steps that each discrete choice gets, the present one too: a second one changes no ranking
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
 FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
+START_STEPS = 4  # that each of several starts gets before one is chosen
 SHOWS = 0.99  # of the objective, that the lens must reach
 COARSE = 4  # groups of tiles that the phases before the last one take, where there are so many
 
@@ -41,6 +44,7 @@ class Options:
         place: where denoising is; see `model.Design`.
         per_image: parameters that each image has of its own; see `sharing`.
         fixed: parameters that are not fitted.
+        starts: how many of `model.starts` are tried.
     """
 
     steps: int
@@ -49,6 +53,7 @@ class Options:
     place: str
     per_image: tuple[str, ...]
     fixed: tuple[str, ...]
+    starts: int = 1
 
     @property
     def first(self) -> model.Design:
@@ -58,6 +63,21 @@ class Options:
     @property
     def _median(self) -> str | None:
         return None if self.median in ("auto", "none") else self.median
+
+    def problem(self, jpeg: Jpeg | None) -> Problem:
+        """What is compiled, for files that state their chroma sampling, or for none."""
+        fixed = (*self.fixed, *([model.SAMPLING] if jpeg else []))
+        start = model.start()
+        layout = Layout.of(start, sharing(start, self.per_image, fixed))
+        return Problem(self.place, layout, jpeg.subsampling if model.encodable(jpeg) else None)
+
+    @property
+    def designs(self) -> list[model.Design]:
+        """Those that differ in how they demosaick."""
+        if self.demosaic != "auto":
+            return [self.first]
+        plain = [dataclasses.replace(self.first, demosaic=name) for name in model.DEMOSAICKERS]
+        return [*plain, dataclasses.replace(self.first, passes=1)]
 
     @property
     def trials(self) -> int:
@@ -94,13 +114,11 @@ class Search:
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
         self.stated = all(shot.jpeg is not None for shot in self.shots)
+        self.problem = options.problem(self.shots[0].jpeg if self.stated else None)
         self.start = begin(self.views(options.first), self._stated_lens())
         if self.stated:
             self.start |= model.sampled(self.shots[0].jpeg)
-        fixed = (*options.fixed, *([model.SAMPLING] if self.stated else []))
-        flags = sharing(self.start, options.per_image, fixed)
-        self.problem = Problem(options.place, Layout.of(self.start, flags))
-        self.origin = self._origin()
+        self.origin = self._origin(self.start)
         self._done, self._total = 0, self._planned()
 
     def views(self, design: model.Design) -> tuple[View, ...]:
@@ -110,24 +128,33 @@ class Search:
             while len(self._sources) > 1:
                 self._sources.pop(next(iter(self._sources)))
             self._sources[key] = tuple(
-                View(tuple(with_source(c, shot.cfa, design) for c in shot.chunks), shot.geometry)
+                View(
+                    tuple(with_source(c, shot.cfa, design) for c in shot.chunks),
+                    shot.geometry,
+                    self._tables(shot.jpeg),
+                )
                 for shot in self.shots
             )
         return self._sources[key]
 
+    def _tables(self, jpeg: Jpeg | None) -> np.ndarray | None:
+        """A file's own, where the encoder that is compiled is its."""
+        if jpeg is None or jpeg.subsampling != self.problem.subsampling:
+            return None
+        return np.stack([jpeg.luma_table, jpeg.chroma_table]).astype(np.float32)
+
     def run(self) -> Outcome:
         """All phases."""
         best, state = self._first()
-        for group in (self._demosaickers, self._passes, self._medians):
+        for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
             others = list(group(best))
             if not others:
                 continue
-            trials = {d: self._try(group.__name__, d, state) for d in others}
-            plain = self._fit(best).objective(state)
-            self.tried.append((best.text, plain))
+            trials = {d: self._try(group.__name__, d, state) for d in [best, *others]}
             chosen = min(trials, key=lambda d: trials[d].objective)
-            if trials[chosen].objective < GAIN * plain:
-                best, state = chosen, trials[chosen]
+            if trials[chosen].objective < GAIN * trials[best].objective:
+                best = chosen
+            state = trials[best]
         return self.finish(best, state)
 
     def _first(self) -> tuple[model.Design, State]:
@@ -136,11 +163,23 @@ class Search:
         design = dataclasses.replace(self.options.first, sampling=not self.stated)
         bent = dataclasses.replace(design, lens=True)
         if float(self._stated_lens().k1):
-            return bent, self._run("first", self._fit(bent), self.origin, steps)
-        state = self._run("first", self._fit(design), self.origin, steps)
+            fit = self._fit(bent)
+            return bent, self._run("first", fit, self._begun(fit), steps)
+        fit = self._fit(design)
+        state = self._run("first", fit, self._begun(fit), steps)
         tried = self._run("lens", self._fit(bent), _again(state), min(steps, LENS_STEPS))
         shows = tried.objective < SHOWS * state.objective and self._bends(tried)
         return (bent, tried) if shows else (design, state)
+
+    def _begun(self, fit: Fit) -> State:
+        """Where the first phase begins: of several starts the one that a few steps take furthest."""
+        if self.options.starts == 1:
+            return self.origin
+        steps, ends = min(self.options.steps, START_STEPS), []
+        for i, own in enumerate(model.starts()[: self.options.starts]):
+            ends.append(self._run(f"start {i + 1}", fit, self._origin(self.start | own), steps))
+            self.tried.append((f"start {i + 1}", ends[-1].objective))
+        return _again(min(ends, key=lambda end: end.objective))
 
     def _stated_lens(self) -> Lens:
         return Lens(float(np.median([s.lens.k1 for s in self.shots])))
@@ -158,27 +197,11 @@ class Search:
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
         for turn in (1, 2):
-            correction = self._encoder(self._fit(design, whole=True, now=now), now)
-            fit = self._fit(design, whole=True, now=state, statistics=weight, correction=correction)
+            fit = self._fit(design, whole=True, now=state, statistics=weight)
             now = self._run(f"{name} {turn}", fit, _again(now), steps)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS
         return Outcome(design, fit, now, self.start, self.losses, self.tried)
-
-    def _encoder(self, fit: Fit, state: State) -> np.ndarray:
-        """What each file's JPEG encoder adds to the noise statistics, in tolerances."""
-        if not any(shot.jpeg for shot in self.shots):
-            return np.zeros_like(fit.misfit(state))
-        before = noise.rounded(np.sum([part.sums for _, _, part in fit.trials(state)], axis=0))
-        after = np.zeros_like(fit.wanted)
-        for pair, chunk, part in fit.without_sampling().trials(state):
-            chain, tables = model.with_jpeg(Chain((), "encoder"), self.shots[pair].jpeg)
-            if tables:
-                tiles = (np.round(np.asarray(part.render) * 255) / 255).astype(np.float32)
-                after += np.asarray(sums_of(run_batch(chain, tables, tiles), chunk))
-            else:
-                after += noise.rounded(np.asarray(part.sums))
-        return noise.misfit(after, fit.wanted) - noise.misfit(before, fit.wanted)
 
     def _demosaickers(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":
@@ -188,7 +211,11 @@ class Search:
 
     def _passes(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":
-            yield dataclasses.replace(design, passes=1)
+            yield dataclasses.replace(design, passes=design.passes + 1)
+
+    def _more_passes(self, design: model.Design) -> Iterator[model.Design]:
+        if design.passes:
+            yield from self._passes(design)
 
     def _medians(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.median == "auto":
@@ -206,7 +233,7 @@ class Search:
         views = self.views(design)
         if not whole:
             kept = self._coarse()
-            views = tuple(View(v.chunks[:n], v.geometry) for v, n in zip(views, kept))
+            views = tuple(v._replace(chunks=v.chunks[:n]) for v, n in zip(views, kept))
         return Fit(self.problem, self.start, views, self.origin, design, **{"now": self.origin, **options})
 
     def _coarse(self) -> list[int]:
@@ -235,11 +262,11 @@ class Search:
         self.journal.put(name, state, finished=True)
         return state
 
-    def _origin(self) -> State:
+    def _origin(self, start: Params) -> State:
         layout, pairs = self.problem.layout, len(self.shots)
-        images = tuple(layout.vector(self.start, IMAGE) for _ in range(pairs))
+        images = tuple(layout.vector(start, IMAGE) for _ in range(pairs))
         places = tuple(np.zeros(len(GEOMETRY)) for _ in range(pairs))
-        return State(layout.vector(self.start, CAMERA), images, places)
+        return State(layout.vector(start, CAMERA), images, places)
 
     def _planned(self) -> int:
         steps = self.options.steps
@@ -247,7 +274,8 @@ class Search:
             min(steps, FIRST_STEPS)
             + min(steps, LAST_STEPS)
             + min(LENS_STEPS, steps)
-            + min(TRIAL, steps) * (self.options.trials + 3)
+            + (self.options.starts > 1) * self.options.starts * min(START_STEPS, steps)
+            + min(TRIAL, steps) * (self.options.trials + 5)
             + 1
         )
 

@@ -132,7 +132,7 @@ def mean_of(values: Sequence[Params]) -> Params:
     """The mean of several parameter trees, on the scale each parameter varies on."""
     free = [to_unbounded(v) for v in values]
     means = map_specs(lambda spec, *leaves: jnp.mean(jnp.stack(leaves), axis=0), free[0], *free[1:])
-    return {stage: _as_arrays(v) for stage, v in to_bounded(means).items()}
+    return as_arrays(to_bounded(means))
 
 
 def canonical(params: Params) -> Params:
@@ -155,5 +155,9 @@ def canonical(params: Params) -> Params:
     }
 
 
-def _as_arrays(values: Any) -> Any:
-    return type(values)(**{f: np.asarray(getattr(values, f), np.float32) for f in specs(type(values))})
+def as_arrays(params: Params) -> Params:
+    """The same parameters as float32 arrays: Python numbers would be compiled for anew."""
+    return {
+        stage: type(values)(**{f: np.asarray(getattr(values, f), np.float32) for f in specs(type(values))})
+        for stage, values in params.items()
+    }

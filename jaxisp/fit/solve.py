@@ -2,18 +2,19 @@
 
 import copy
 import dataclasses
-import functools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.fit import model, noise
-from jaxisp.fit.program import GEOMETRY, Given, Normal, Problem, normal_equations, sums_of
-from jaxisp.fit.sharing import CAMERA, IMAGE
-from jaxisp.fit.tiles import TILE, TILES, Chunk
+from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
+from jaxisp.fit.program import no_jacobian, normal_equations, sums_of
+from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
+from jaxisp.fit.state import Equations, Place, State, View
+from jaxisp.fit.threads import together
+from jaxisp.fit.tiles import Chunk
 from jaxisp.pipeline import Params
 
 HOLD = 1e-5  # what a parameter one unit from its start counts: keeps what is unidentifiable where it was
@@ -26,63 +27,11 @@ CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
 WORTH = 2e-3  # of the objective, that such a step must gain
 
 
-class View(NamedTuple):
-    """The tiles of one pair as they are fitted: demosaicked, and where they lie."""
-
-    chunks: tuple[Chunk, ...]
-    geometry: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class State:
-    """A fit under way: one vector for the camera, one a pair for the image and its geometry."""
-
-    camera: np.ndarray
-    images: tuple[np.ndarray, ...]
-    places: tuple[np.ndarray, ...]
-    damping: float = 1e-2
-    objective: float = float("inf")
-    done: int = 0
-    idle: int = 0
-
-    def moved(self, step: np.ndarray, **changes: Any) -> "State":
-        flat = np.concatenate([self.camera, *self.images, *self.places]) + step
-        sizes = [len(v) for v in (self.camera, *self.images, *self.places)]
-        parts = np.split(flat, np.cumsum(sizes)[:-1])
-        n = len(self.images)
-        return dataclasses.replace(
-            self, camera=parts[0], images=tuple(parts[1 : 1 + n]), places=tuple(parts[1 + n :]), **changes
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class Equations:
-    """All chunks together: the Hessian and the gradient of the objective in the order of a `State`."""
-
-    objective: float
-    matrix: np.ndarray
-    vector: np.ndarray
-    data: np.ndarray
-    """The part of `matrix` that the pixels give, in squared levels."""
-    loss: float
-    weight: float
-    slopes: np.ndarray
-    """How each noise statistic moves, (n, m)."""
-    jacobians: list[Any]
-
-
-class Place(NamedTuple):
-    """The objective somewhere, its gradient with the Jacobians of a place nearby, the loss, and how far each
-    noise statistic is off, in tolerances."""
-
-    objective: float
-    vector: np.ndarray
-    loss: float
-    rows: np.ndarray
-
-
 class Fit:
     """One problem on given tiles: evaluates, and takes Gauss-Newton steps.
+
+    The files' own JPEG encoder is rendered, or denoising and sharpening would be bent towards what it
+    takes away.
 
     Args:
         problem: the discrete choices and which parameters move.
@@ -93,7 +42,6 @@ class Fit:
         now: whose mean loss counts as 1; the start's unless given.
         statistics: what one noise statistic a tolerance off counts against that loss. It is 0 until tone
             and colour are right: before, the noise would be matched by bending them.
-        correction: what the JPEG encoder, which is not in the loss, adds to each statistic.
     """
 
     def __init__(
@@ -106,14 +54,13 @@ class Fit:
         *,
         now: State | None = None,
         statistics: float = 0.0,
-        correction: np.ndarray | float = 0.0,
     ):
-        self.statistics, self.correction = statistics, correction
+        self.statistics, self.encodes = statistics, True
         self.design = design
         self.median = np.int32(model.MEDIANS.index(design.median))
         self.bends = np.bool_(design.lens)
         self.moving = problem.moving(design.lens, design.median is not None)
-        self.problem, self.fixed, self.views, self.start = problem, fixed, tuple(views), start
+        self.problem, self.fixed, self.views, self.start = problem, as_arrays(fixed), tuple(views), start
         own = [np.asarray(sums_of(c.target, c), np.float64) for v in views for c in v.chunks]
         self.wanted: np.ndarray = np.sum(own, axis=0)
         stages = (
@@ -125,10 +72,6 @@ class Fit:
         self._hold = np.concatenate([holds[0], *[holds[1]] * len(views), *[place] * len(views)])
         self.scale = 1.0
         self.scale = max(self.loss(now or start), 1e-7)
-
-    @functools.cached_property
-    def _no_jacobian(self) -> jax.Array:
-        return jnp.zeros((len(self.problem.columns), 3 * TILES * TILE * TILE))
 
     def loss(self, state: State) -> float:
         """Mean robust loss of the pixels."""
@@ -142,31 +85,53 @@ class Fit:
         """What the fit lowers: the loss against that of `now`, the statistics, and the pull of the start."""
         return self._at(state).objective
 
-    def trials(self, state: State, jacobians: Sequence[Any] = ()) -> Iterator[tuple[int, Chunk, Normal]]:
+    def trials(self, state: State, jacobians: Sequence[Any] = ()) -> list[tuple[int, Chunk, Normal]]:
         """All chunks rendered: which pair, the chunk, and what came of it."""
-        count = 0
-        for i, view in enumerate(self.views):
-            given = self.given(view.geometry)._replace(moving=np.zeros_like(self.moving))
-            vector = self.vector(state, i)
-            for chunk in view.chunks:
-                yield i, chunk, self.normal(given, vector, chunk, jacobians[count] if jacobians else None)
-                count += 1
+        near = jacobians or [None] * len(self._chunks)
+
+        def one(at: tuple[int, Chunk], near: Any) -> tuple[int, Chunk, Normal]:
+            given = self.given(at[0])._replace(moving=np.zeros_like(self.moving))
+            part = self.normal(given, self.vector(state, at[0]), at[1], near)
+            return *at, part._replace(jacobian=None)  # zeros, and large
+
+        return together(one, self._chunks, near)
+
+    @property
+    def _chunks(self) -> list[tuple[int, Chunk]]:
+        """All of them, with their pair."""
+        return [(i, chunk) for i, view in enumerate(self.views) for chunk in view.chunks]
 
     def without_sampling(self) -> "Fit":
         """The same, with chroma sampling left to an encoder."""
-        other = copy.copy(self)
-        other.fixed = self.fixed | model.sampled(None)
+        other = self.without_encoder()
+        other.fixed = self.fixed | as_arrays(model.sampled(None))
         return other
 
-    def given(self, geometry: np.ndarray) -> Given:
-        """What is known of a pair."""
-        return Given(self.fixed, self.median, geometry, self.bends, self.moving)
+    def without_encoder(self) -> "Fit":
+        """The same, compared before the encoder."""
+        other = copy.copy(self)
+        other.encodes = False
+        return other
+
+    def given(self, pair: int, geometry: np.ndarray | None = None) -> Given:
+        """What is known of a pair; `geometry`: another shift and scale than the alignment's."""
+        view = self.views[pair]
+        tables = np.ones((2, 8, 8), np.float32) if view.tables is None else view.tables
+        geometry = view.geometry if geometry is None else geometry
+        encodes = np.bool_(self._encodes(pair))
+        return Given(self.fixed, self.median, geometry, self.bends, encodes, tables, self.moving)
+
+    def _encodes(self, pair: int) -> bool:
+        return self.encodes and self.views[pair].tables is not None
+
+    def _eight_bits(self, pair: int, sums: Any) -> np.ndarray:
+        """The sums for the noise statistics as rounding leaves them, where the encoder did not round yet."""
+        return np.asarray(sums, np.float64) if self._encodes(pair) else noise.rounded(sums)
 
     def normal(self, given: Given, vector: np.ndarray, chunk: Chunk, near: Any = None) -> Normal:
         """One chunk at a place."""
-        return normal_equations(
-            self.problem, given, vector, chunk, self._no_jacobian if near is None else near
-        )
+        near = no_jacobian(self.problem) if near is None else near
+        return jax.block_until_ready(normal_equations(self.problem, given, vector, chunk, near))
 
     def vector(self, state: State, pair: int) -> np.ndarray:
         """That of one pair: camera, image and geometry."""
@@ -188,9 +153,9 @@ class Fit:
         sums = np.zeros_like(self.wanted)
         for i, _, part in self.trials(state, near.jacobians if near else ()):
             total, weight = total + float(part.loss), weight + float(part.weight)
-            sums = sums + np.asarray(part.sums)
+            sums = sums + self._eight_bits(i, part.sums)
             vector[self._index(i)] += np.asarray(part.chord)
-        rows = noise.misfit(noise.rounded(sums), self.wanted) + self.correction
+        rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
         deviation = self._deviation(state)
         objective = total / weight / self.scale + self.statistics * misfit + self._hold @ deviation**2
@@ -204,18 +169,19 @@ class Fit:
         size = len(self._hold)
         data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
         sums, slopes, jacobians = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted))), []
-        for i, view in enumerate(self.views):
-            index, given, at = self._index(i), self.given(view.geometry), self.vector(state, i)
-            for chunk in view.chunks:
-                part = self.normal(given, at, chunk)
-                data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
-                vector[index] += np.asarray(part.vector, np.float64)
-                slopes[index] += np.asarray(part.slopes, np.float64)
-                sums += np.asarray(part.sums, np.float64)
-                total, weight = total + float(part.loss), weight + float(part.weight)
-                jacobians.append(part.jacobian)
-        sums = noise.rounded(sums)
-        rows = noise.misfit(sums, self.wanted) + self.correction
+
+        def one(at: tuple[int, Chunk]) -> Normal:
+            return self.normal(self.given(at[0]), self.vector(state, at[0]), at[1])
+
+        for (i, _), part in zip(self._chunks, together(one, self._chunks)):
+            index = self._index(i)
+            data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
+            vector[index] += np.asarray(part.vector, np.float64)
+            slopes[index] += np.asarray(part.slopes, np.float64)
+            sums += self._eight_bits(i, part.sums)
+            total, weight = total + float(part.loss), weight + float(part.weight)
+            jacobians.append(part.jacobian)
+        rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
         jacobian = _slopes_of_misfit(sums, self.wanted, slopes)
         deviation, share = self._deviation(state), 1 / (weight * self.scale)

@@ -8,18 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
 from jaxisp.color import LUMA_601
 from jaxisp.errors import InputError
 from jaxisp.fit import model, noise
-from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene
-from jaxisp.fit.lens import STRAIGHT, Lens, covered, radial
-from jaxisp.io import Jpeg, Raw, orient
-from jaxisp.io.orientation import INVERSE
+from jaxisp.fit.align import Alignment
+from jaxisp.fit.lens import STRAIGHT, Lens, covered
+from jaxisp.fit.pair import Example, align, balanced, demosaicker
+from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
-from jaxisp.pipeline import Chain, run, run_batch, stage
-from jaxisp.recipe import Recipe
-from jaxisp.stages.transfer import srgb_oetf
+from jaxisp.pipeline import Chain, run_batch
 
 TILE = 64
 HALO = 16  # px around a tile that the filters see: bilateral 8, median 2, unsharp mask 6
@@ -28,22 +25,8 @@ MARGIN = 8  # more of the mosaic, for the warp and the demosaicker
 SOURCE = SIDE + 2 * MARGIN
 TILES = 4  # of one pair, in one call
 BORDER = 8
-FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
 HOW = f"a checkerboard of {TILE}x{TILE} tiles: half are fitted, the other half reported"
-_SCALES = (0.8, 1.25)  # of the picture against the RAW; beyond, resizing would have to be modelled
 _PAD = 48
-_CERTAIN = 0.15  # of correlation that another orientation must be better by
-
-
-@dataclasses.dataclass(frozen=True)
-class Example:
-    """One pair as it was read: a RAW and the picture (H, W, 3) that the camera made of it, encoded sRGB
-    in [0, 1], lying as the RAW does; `jpeg` is the file it was decoded from, where there is one."""
-
-    name: str
-    raw: Raw
-    picture: np.ndarray
-    jpeg: Jpeg | None = None
 
 
 class Chunk(NamedTuple):
@@ -98,71 +81,13 @@ class Split(NamedTuple):
     held_out: np.ndarray
 
 
-def balanced(raw: Raw) -> np.ndarray:
-    """The mosaic with shading, as-shot white balance and the clip at white."""
-    chain = Chain((stage("mosaic_white_balance", cfa=raw.cfa), stage("clip")), "balanced")
-    params = params_for(Recipe(chain, chain.init(), meta=FROM_FILE), raw)
-    return np.asarray(run(chain, params, jnp.asarray(shaded_mosaic(raw))))
-
-
-def demosaicked(mosaic: np.ndarray, cfa: str, design: model.Design) -> jax.Array:
-    """Camera RGB of a whole balanced mosaic."""
-    return run(_demosaicker(cfa, design), {}, jnp.asarray(mosaic))
-
-
-def _demosaicker(cfa: str, design: model.Design) -> Chain:
-    return Chain(model.head(cfa, design).nodes[2:], "demosaic")
-
-
 def with_source(chunk: Chunk, cfa: str, design: model.Design) -> Chunk:
     """The chunk with its mosaic demosaicked."""
-    return chunk._replace(source=_demosaic_tiles(_demosaicker(cfa, design), chunk.source))
+    return chunk._replace(source=_demosaic_tiles(demosaicker(cfa, design), chunk.source))
 
 
 def _demosaic_tiles(chain: Chain, mosaics: np.ndarray) -> jax.Array:
-
     return run_batch(chain, {}, jnp.asarray(mosaics))
-
-
-def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, ...]]:
-    """Where the RAW lies on the picture; a picture that was turned or mirrored is turned back.
-
-    Raises:
-        InputError: the two do not show the same scene, or are of very different sizes.
-    """
-    camera_rgb = demosaicked(balanced(example.raw), example.raw.cfa, model.Design("demosaic_bilinear"))
-    bright = float(jnp.percentile(camera_rgb, 99))
-    guess = np.asarray(srgb_oetf(jnp.clip(camera_rgb / max(bright, 1e-6), 0, 1)))
-    picture, orientation, notes = example.picture, 1, []
-    same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
-    alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
-    if not same_scene(alignment, picture.shape) or float(alignment.correlation) < 0.6:
-        found = INVERSE[best_orientation(picture, guess)]
-        turned = np.ascontiguousarray(orient(picture, found))
-        other = estimate(turned, guess)
-        better = float(other.correlation) > float(alignment.correlation) + _CERTAIN
-        if found != 1 and same_scene(other, turned.shape) and better:
-            notes.append(
-                f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {found} "
-                f"(correlation {float(other.correlation):.2f} against {float(alignment.correlation):.2f})"
-            )
-            picture, alignment, orientation = turned, other, found
-    if not same_scene(alignment, picture.shape):
-        raise InputError(
-            f"{example.name}: the RAW and the JPEG do not show the same scene "
-            f"(correlation {float(alignment.correlation):.2f} after alignment)"
-        )
-    scales = 1 / float(alignment.scale_y), 1 / float(alignment.scale_x)
-    if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
-        raise InputError(
-            f"{example.name}: the JPEG is {scales[0]:.2f} times as high and {scales[1]:.2f} times as wide as "
-            f"the RAW; a fit needs a full-size JPEG ({_SCALES[0]} to {_SCALES[1]})"
-        )
-    # a turned picture is not on its encoder's grid any more
-    jpeg = example.jpeg if orientation == 1 else None
-    alignment, k1 = radial(picture, guess, alignment)
-    example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
-    return example, alignment, Lens(k1), orientation, tuple(notes)
 
 
 def split(
@@ -212,6 +137,16 @@ def blank(example: Example, mosaic: np.ndarray, shot: Shot, corners: Sequence[tu
     rows = TILE // noise.BLOCK
     empty = np.zeros((noise.BINS, rows, rows), np.float32), np.zeros((TILE, TILE), np.float32)
     return next(_chunks(tiles, [empty] * len(tiles), example.raw.mosaic.shape))
+
+
+def no_chunk() -> Chunk:
+    """One of zeros, demosaicked."""
+    rows = TILE // noise.BLOCK
+    shapes = (
+        (SOURCE, SOURCE, 3), (TILE, TILE, 3), (TILE, TILE), (4,), (), (noise.BINS, rows, rows), (TILE, TILE)
+    )  # fmt: skip
+    source, target, mask, place, _, flat, edges = (np.zeros((TILES, *s), np.float32) for s in shapes)
+    return Chunk(source, target, mask, place, np.float32(1), flat, edges)
 
 
 def _choose(target: np.ndarray, fitted: np.ndarray, most: int) -> list[tuple[int, int]]:

@@ -12,28 +12,15 @@ from scipy import ndimage
 from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.fit import Example, fit_dataset, fit_examples
+from jaxisp.fit import fit_examples
+from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.generate import degrade_files
-from jaxisp.io import open_dataset, orient, write_png
+from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg, write_png
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
-
-SIZE = (128, 192)
-PLAIN = {"demosaic": "demosaic_malvar", "median": "none"}
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pairs")
-    write_pairs(folder, PHONES["a"], {"astronaut": scene("astronaut", SIZE)})
-    return folder
-
-
-@pytest.fixture(scope="module")
-def result(folder):
-    return fit_dataset(folder, steps=10, **PLAIN)
+from tests.fit.conftest import PLAIN, SIZE, example
 
 
 def psnr(a, b):
@@ -76,34 +63,12 @@ def test_figures_are_of_disjoint_tiles(folder, result):
     json.dumps(figures, allow_nan=False)
 
 
-def example(folder) -> Example:
-    pair = open_dataset(folder).pairs[0].load()
-    return Example("astronaut", pair.raw, pair.picture, pair.jpeg)
-
-
 def test_a_known_shift_is_found(folder):
     given = example(folder)
     moved = dataclasses.replace(given, picture=np.roll(given.picture, (2, -3), (0, 1)), jpeg=None)
     shot = prepare(moved)
     assert shot.alignment.dy == pytest.approx(-2, abs=0.15)
     assert shot.alignment.dx == pytest.approx(3, abs=0.15)
-
-
-@pytest.fixture(scope="module")
-def own(folder, result):
-    """The target is the fitted model's own rendering with other, known parameters."""
-    given, camera = example(folder), result.camera
-    chain = camera.chain.without("jpeg_tables")
-    prior = {k: v for k, v in camera.prior.items() if k != "jpeg_tables"}
-    prior["saturation"] = dataclasses.replace(prior["saturation"], amount=np.float32(1.3))
-    prior["unsharp_mask"] = dataclasses.replace(prior["unsharp_mask"], amount=np.float32(1.0))
-    truth = Recipe(chain, prior, meta=camera.meta)
-    return truth, dataclasses.replace(given, picture=develop(given.raw, truth), jpeg=None)
-
-
-@pytest.fixture(scope="module")
-def refitted(own):
-    return fit_examples([own[1]], steps=10, **PLAIN)
 
 
 def test_known_parameters_are_recovered_and_unknown_ones_named(own, refitted):
@@ -117,6 +82,18 @@ def test_known_parameters_are_recovered_and_unknown_ones_named(own, refitted):
     assert errors["saturation.amount"].known
     assert "vignetting.a4" in found.unidentified  # nothing in so small a picture tells it from a2
     assert found.camera.meta["not_identified"] == found.unidentified
+
+
+def test_what_the_encoder_took_is_not_put_down_to_the_camera(own, tmp_path):
+    """A coarse JPEG loses detail. Fitted to it as to a picture, sharpening would come out too weak."""
+    truth, given = own
+    write_jpeg(tmp_path / "coarse.jpg", given.picture, quality=75, subsampling="4:4:4")
+    file = read_jpeg(tmp_path / "coarse.jpg")
+    coarse = dataclasses.replace(given, picture=file.image, jpeg=file)
+    found = fit_examples([coarse], steps=10, **PLAIN)
+    mask, wanted = (c.prior["unsharp_mask"] for c in (found.camera, truth))
+    assert float(mask.amount) == pytest.approx(1.0, rel=0.1)
+    assert float(mask.sigma) == pytest.approx(float(wanted.sigma), rel=0.1)
 
 
 def test_halved_chroma_is_found_where_no_file_states_it(own, refitted, result):
@@ -162,6 +139,23 @@ def test_a_stopped_fit_goes_on_where_it_was(own, refitted, tmp_path):
             np.testing.assert_array_equal(getattr(resumed.camera.prior[name], field), value)
     path.write_text("{broken")
     assert not fit_examples([given], **options | {"steps": 1}, journal=path).resumed
+
+
+def test_two_fits_into_one_file_give_one_clear_error(own, tmp_path):
+    path = tmp_path / "camera.toml.partial"
+    with alone(path), pytest.raises(InputError, match="another process is fitting into"):
+        fit_examples([own[1]], journal=path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_best_of_several_starts_is_taken(own):
+    _, given = own
+    found = fit_examples([given], steps=2, starts=3, **PLAIN)
+    begun = {text: value for text, value in found.tried if text.startswith("start")}
+    assert list(begun) == ["start 1", "start 2", "start 3"] and len(set(begun.values())) == 3
+    assert found.losses[6] < min(begun.values())  # 3 starts of 2 steps, then on from the best
+    with pytest.raises(InputError, match="9 starts: there are 1 to 4"):
+        fit_examples([given], starts=9)
 
 
 def test_each_image_can_have_its_own_exposure(own):

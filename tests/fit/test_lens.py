@@ -61,10 +61,7 @@ def test_what_lies_outside_the_raw_is_known():
     assert covered(Alignment(), Lens(k1=-0.1), (90, 121), (90, 121)).all()
 
 
-OFF = pytest.mark.xfail(strict=True, reason="0.38 px off, not known why; the fit refines it")
-
-
-@pytest.mark.parametrize("pixels", [6.0, pytest.param(-2.5, marks=OFF), 0.0])
+@pytest.mark.parametrize("pixels", [6.0, -2.5, 0.0])
 def test_the_alignment_finds_a_radial_distortion(rng, pixels):
     photograph = skimage.data.astronaut() / 255
     corner = np.hypot(511, 511) / 2

@@ -1,0 +1,101 @@
+"""Pairs developed by LibRaw with settings that the fitter is not told."""
+
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rawpy
+
+from experiments.fit_phones.common import SEED, Cases, Run, fitted, short
+from jaxisp.io import write_dng, write_png
+from jaxisp.samples import PHONES, scene, scene_names, shoot
+
+ALGORITHMS = ("LINEAR", "VNG", "PPG", "AHD", "DCB")
+
+
+def runs(data: Path | None) -> dict[str, Run]:
+    raws = sorted((data / "raw").glob("*.dng")) if data else []
+    return {path.stem: partial(against_libraw, path, i) for i, path in enumerate(raws)} | {
+        f"phone_{name}": partial(libraw_on_phone, name, 100 + i) for i, name in enumerate(PHONES)
+    }
+
+
+def libraw_on_phone(name: str, seed: int) -> dict[str, Any]:
+    mosaic, _, header = shoot(scene(scene_names()["abc".index(name)], 288), PHONES[name], SEED)
+    header["orientation"] = 1
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / f"phone_{name}.dng"
+        write_dng(path, mosaic, **header)
+        return against_libraw(path, seed)
+
+
+def against_libraw(path: Path, seed: int) -> dict[str, Any]:
+    """A pair developed by LibRaw with settings that are drawn, not told."""
+    rng = np.random.default_rng((SEED, seed))
+    gamma = [(2.222, 4.5), (2.4, 12.92), (1.8, 6.0)][rng.integers(3)]
+    settings: dict[str, Any] = {
+        "demosaic_algorithm": ALGORITHMS[rng.integers(len(ALGORITHMS))],
+        "gamma": gamma,
+        "bright": float(rng.uniform(0.8, 1.5)),
+        "median_filter_passes": int(rng.integers(0, 3)),
+        "noise_thr": float(rng.choice([0, 100, 300])),
+    }
+    picture = in_a_child(path, settings)
+    if picture is None:  # that of rawpy 0.28 corrupts its memory wherever it denoises
+        settings |= {"crashed_at": settings["noise_thr"], "noise_thr": 0.0}
+        picture = in_a_child(path, settings)
+    assert picture is not None, "LibRaw crashed without denoising"
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        (folder / path.name).write_bytes(path.read_bytes())
+        write_png(folder / f"{path.stem}.png", picture.astype(np.float32) / 255)
+        return {"settings": settings, **short(fitted(f"libraw-{path.stem}", folder))}
+
+
+def in_a_child(path: Path, settings: dict[str, Any]) -> np.ndarray | None:
+    """LibRaw's picture; None where it crashed."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as child:
+        try:
+            return child.submit(by_libraw, path, settings).result()
+        except BrokenProcessPool:
+            return None
+
+
+def by_libraw(path: Path, settings: dict[str, Any]) -> np.ndarray:
+    own = {k: v for k, v in settings.items() if k not in ("demosaic_algorithm", "crashed_at")}
+    with rawpy.imread(str(path)) as raw:
+        return raw.postprocess(
+            **own,
+            demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, settings["demosaic_algorithm"]),
+            use_camera_wb=True,
+            no_auto_bright=True,
+            output_color=rawpy.ColorSpace.sRGB,
+            user_flip=0,
+        )
+
+
+def page(cases: Cases) -> list[str]:
+    lines = [
+        "## LibRaw with settings the fitter is not told",
+        "",
+        "| file | LibRaw's settings | held out [dB / SSIM] | chosen |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name, r in cases.items():
+        s = r["settings"]
+        text = (
+            f"{s['demosaic_algorithm']}, gamma {s['gamma'][0]:g} / {s['gamma'][1]:g}, "
+            f"bright {s['bright']:.2f}, "
+            f"{s['median_filter_passes']} medians, noise threshold {s['noise_thr']:g}"
+        )
+        if "crashed_at" in s:
+            text += f" (LibRaw crashed with {s['crashed_at']:g})"
+        lines.append(
+            f"| {name} | {text} | {r['held_out_psnr']:.2f} / {r['held_out_ssim']:.4f} | {r['design']} |"
+        )
+    return lines

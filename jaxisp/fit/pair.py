@@ -1,0 +1,96 @@
+"""One pair as it was read: its RAW developed plainly, and laid on the camera's picture."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
+from jaxisp.errors import InputError
+from jaxisp.fit import model
+from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene
+from jaxisp.fit.lens import Lens, radial
+from jaxisp.io import Jpeg, Raw, orient
+from jaxisp.io.orientation import INVERSE
+from jaxisp.pipeline import Chain, run, stage
+from jaxisp.recipe import Recipe
+from jaxisp.stages.transfer import srgb_oetf
+
+FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
+_SCALES = (0.8, 1.25)  # of the picture against the RAW; beyond, resizing would have to be modelled
+_CERTAIN = 0.15  # of correlation that another orientation must be better by
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """One pair as it was read: a RAW and the picture (H, W, 3) that the camera made of it, encoded sRGB
+    in [0, 1], lying as the RAW does; `jpeg` is the file it was decoded from, where there is one."""
+
+    name: str
+    raw: Raw
+    picture: np.ndarray
+    jpeg: Jpeg | None = None
+
+
+def balanced(raw: Raw) -> np.ndarray:
+    """The mosaic with shading, as-shot white balance and the clip at white."""
+    chain = Chain((stage("mosaic_white_balance", cfa=raw.cfa), stage("clip")), "balanced")
+    params = params_for(Recipe(chain, chain.init(), meta=FROM_FILE), raw)
+    return np.asarray(run(chain, params, jnp.asarray(shaded_mosaic(raw))))
+
+
+def demosaicked(mosaic: np.ndarray, cfa: str, design: model.Design) -> jax.Array:
+    """Camera RGB of a whole balanced mosaic."""
+    return run(demosaicker(cfa, design), {}, jnp.asarray(mosaic))
+
+
+def demosaicker(cfa: str, design: model.Design) -> Chain:
+    return Chain(model.head(cfa, design).nodes[2:], "demosaic")
+
+
+def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, ...]]:
+    """Where the RAW lies on the picture; a picture that was turned or mirrored is turned back.
+
+    Raises:
+        InputError: the two do not show the same scene, or are of very different sizes.
+    """
+    camera_rgb = demosaicked(balanced(example.raw), example.raw.cfa, model.Design("demosaic_bilinear"))
+    bright = max(float(np.percentile(camera_rgb, 99)), 1e-6)
+    guess = np.asarray(_encoded(np.asarray(camera_rgb) / np.float32(bright)))
+    picture, orientation, notes = example.picture, 1, []
+    same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
+    alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
+    if not same_scene(alignment, picture.shape) or float(alignment.correlation) < 0.6:
+        found = INVERSE[best_orientation(picture, guess)]
+        turned = np.ascontiguousarray(orient(picture, found))
+        other = estimate(turned, guess)
+        better = float(other.correlation) > float(alignment.correlation) + _CERTAIN
+        if found != 1 and same_scene(other, turned.shape) and better:
+            notes.append(
+                f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {found} "
+                f"(correlation {float(other.correlation):.2f} against {float(alignment.correlation):.2f})"
+            )
+            picture, alignment, orientation = turned, other, found
+    if not same_scene(alignment, picture.shape):
+        raise InputError(
+            f"{example.name}: the RAW and the JPEG do not show the same scene "
+            f"(correlation {float(alignment.correlation):.2f} after alignment)"
+        )
+    scales = 1 / float(alignment.scale_y), 1 / float(alignment.scale_x)
+    if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
+        raise InputError(
+            f"{example.name}: the JPEG is {scales[0]:.2f} times as high and {scales[1]:.2f} times as wide as "
+            f"the RAW; a fit needs a full-size JPEG ({_SCALES[0]} to {_SCALES[1]})"
+        )
+    # a turned picture is not on its encoder's grid any more
+    jpeg = example.jpeg if orientation == 1 else None
+    alignment, k1 = radial(picture, guess, alignment)
+    example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
+    return example, alignment, Lens(k1), orientation, tuple(notes)
+
+
+@jax.jit
+def _encoded(linear: jax.Array) -> jax.Array:
+    return srgb_oetf(jnp.clip(linear, 0, 1))

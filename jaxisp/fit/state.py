@@ -1,0 +1,65 @@
+"""A fit under way: where it is, and what is known there."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxisp.fit.tiles import Chunk
+
+
+class View(NamedTuple):
+    """The tiles of one pair as they are fitted: demosaicked, where they lie, and its file's JPEG tables
+    (2, 8, 8), None where its encoder is not rendered."""
+
+    chunks: tuple[Chunk, ...]
+    geometry: np.ndarray
+    tables: np.ndarray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """A fit under way: one vector for the camera, one a pair for the image and its geometry."""
+
+    camera: np.ndarray
+    images: tuple[np.ndarray, ...]
+    places: tuple[np.ndarray, ...]
+    damping: float = 1e-2
+    objective: float = float("inf")
+    done: int = 0
+    idle: int = 0
+
+    def moved(self, step: np.ndarray, **changes: Any) -> "State":
+        flat = np.concatenate([self.camera, *self.images, *self.places]) + step
+        sizes = [len(v) for v in (self.camera, *self.images, *self.places)]
+        parts = np.split(flat, np.cumsum(sizes)[:-1])
+        n = len(self.images)
+        return dataclasses.replace(
+            self, camera=parts[0], images=tuple(parts[1 : 1 + n]), places=tuple(parts[1 + n :]), **changes
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Equations:
+    """All chunks together: the Hessian and the gradient of the objective in the order of a `State`."""
+
+    objective: float
+    matrix: np.ndarray
+    vector: np.ndarray
+    data: np.ndarray
+    """The part of `matrix` that the pixels give, in squared levels."""
+    loss: float
+    weight: float
+    slopes: np.ndarray
+    """How each noise statistic moves, (n, m)."""
+    jacobians: list[Any]
+
+
+class Place(NamedTuple):
+    """The objective somewhere, its gradient with the Jacobians of a place nearby, the loss, and how far each
+    noise statistic is off, in tolerances."""
+
+    objective: float
+    vector: np.ndarray
+    loss: float
+    rows: np.ndarray
