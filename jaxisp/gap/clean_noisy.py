@@ -1,7 +1,7 @@
 """Clean+noisy pairs: the problem whose errors are differences of statistics, and its base."""
 
-import dataclasses
-import re
+import copy
+import functools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -10,19 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.fit.align import estimate, same_scene
 from jaxisp.gap import prepare
 from jaxisp.gap.effects import CLEAN_NOISY
+from jaxisp.gap.measured import Part, Split
 from jaxisp.gap.model import Choice, Model
-from jaxisp.gap.noisy_base import fit_mean, fit_noise
+from jaxisp.gap.noisy_base import Camera, fit_mean
+from jaxisp.gap.noisy_codes import codes
+from jaxisp.gap.noisy_fit import fit_noise
 from jaxisp.gap.noisy_mean import normalised_regressors
-from jaxisp.gap.noisy_units import axis_of, repeats, tolerances, weights
+from jaxisp.gap.noisy_pairs import clean_pairs, scene_name, split_of
+from jaxisp.gap.noisy_start import noise_indices, placed, starts
+from jaxisp.gap.noisy_units import axis_of, emphasised, noise_only, repeats, tolerances, weights
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of
-from jaxisp.gap.which import Part, Split, Tick
+from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded
 
 _REPLICATES = 4
+_FEWEST = 4  # scenes that tell how they differ
 
 
 class StatisticsProblem:
@@ -36,23 +41,31 @@ class StatisticsProblem:
     choices: Sequence[Choice] = ()
     references: Mapping[int, float] = MappingProxyType({})
 
-    def __init__(self, model: Model, pairs: Pairs, noise_free: np.ndarray, split: Split, seed: int) -> None:
+    def __init__(
+        self, model: Model, camera: Camera, pairs: Pairs, noise_free: np.ndarray, split: Split, seed: int
+    ) -> None:
         self.model, self.pairs, self.split, self.seed = model, pairs, split, seed
         self.inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.mask = jnp.asarray(pairs.mask[self.inner], jnp.float32)
         self.base_picture = jnp.asarray(noise_free[self.inner])
         self.target = to_steps(pairs.pictures[self.inner])
         self.weight = np.sqrt(np.broadcast_to(np.asarray(self.mask)[..., None], self.target.shape))
-        self._frames = frames_of([_scene(name) for name in pairs.names])
+        self._frames = frames_of([scene_name(name) for name in pairs.names])
         self._maps = tuple(normalised_regressors(self.base_picture, self.mask, c) for c in range(3))
+        shape = (self.target.shape[1], self.target.shape[2])
+        self._codes = codes(model.shared, camera.cfa, camera.gains, shape, BORDER)
+        self._weights, self._counted = weights(), np.ones_like(weights())
+        self.fresh: Sequence[int] = noise_indices(model)
         self.real = self.measured(self.target)
         self.floors = np.ones(len(pairs.names))
+        self._numbers = list(range(len(pairs.names)))  # of the keys
+        self._simulated = self.real
         self._set_scale(np.ones_like(self.real))  # until it is measured, chance is alike for all
         self.move_to(np.zeros(len(model.coordinates)))
 
     def keys(self, replicate: int = 0) -> jax.Array:
         root = jax.random.fold_in(jax.random.key(self.seed), replicate)
-        return jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(len(self.pairs.names)))
+        return jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.asarray(self._numbers))
 
     def rendered(self, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, H, W, 3) encoded, noise and all."""
@@ -67,17 +80,26 @@ class StatisticsProblem:
 
     def measured(self, pictures: np.ndarray) -> np.ndarray:
         """(N, F) statistics of pictures in steps, their border cut off."""
-        found = features(jnp.asarray(pictures), self.base_picture, self.mask, self._maps, self._frames)
+        scene = (self.base_picture, self.mask, self._maps, self._frames, self._codes)
+        found = features(jnp.asarray(pictures), *scene)
         return np.asarray(found, float)
 
-    def set_unit(self) -> None:
-        """Take the scatter from draw to draw into the unit of each statistic, and into the floor, which is
-        what is harmless and chance together."""
+    def set_unit(self, emphasise: bool = False) -> None:
+        """Take the scatter from draw to draw and from scene to scene into the unit of each statistic; the
+        floor is one such unit. `emphasise` what the fitted pairs have most of their gap in."""
         draws = np.stack([self.simulated(self.z, k) for k in range(1, 1 + _REPLICATES)])
         self._set_scale(draws.var(0, ddof=1))
         self.move_to(self.z)
-        chance = np.stack([self._mean(self._scale * (d - self._simulated)) ** 2 for d in draws]).mean(0)
-        self.floors = (chance + self._harmless).mean(1)
+        if emphasise:
+            fitted = self.difference[self.split.fit[0]]
+            self._weights = emphasised(fitted**2 / self._weights)
+            self._set_scale(draws.var(0, ddof=1))
+            self.move_to(self.z)
+
+    def count(self, which: np.ndarray) -> None:
+        """Let only these statistics (F,) count from now on."""
+        self._counted = which
+        self.move_to(self.z)
 
     def _set_scale(self, chance: np.ndarray) -> None:
         """(N, F) what differences are multiplied by, so that their mean over a half is in units.
@@ -87,10 +109,19 @@ class StatisticsProblem:
         counted = (chance > 1e-12) + 1e-9
         shares = counted / self._mean(counted)
         sizes = np.array([len(self._half(i)) for i in range(len(chance))])[:, None]
-        scatter = repeats() * self._mean(shares**2 * chance) / sizes
-        unit = np.sqrt(tolerances() ** 2 + 2 * scatter)
-        self._scale = shares / unit * np.sqrt(weights())
-        self._harmless = weights() * (tolerances() / unit) ** 2
+        scatter = 2 * repeats() * self._mean(shares**2 * chance) / sizes
+        scatter = np.maximum(scatter, self._unlike(shares))
+        self._scale = shares / np.sqrt(tolerances() ** 2 + scatter) * np.sqrt(self._weights)
+
+    def _unlike(self, shares: np.ndarray) -> np.ndarray:
+        """(N, F) how the mean's error, which follows what a scene shows and where, scatters from scene to
+        scene: the variance of its mean over a half. 0 for the noise's, and where scenes are few."""
+        scenes = [scene_name(name) for name in self.pairs.names]
+        if len(set(scenes)) < _FEWEST:
+            return np.zeros_like(shares)
+        apart = shares * (self.real - self._simulated)
+        variance = ((apart - apart.mean(0)) ** 2).sum(0) / (len(apart) - 1) * (1 - noise_only())
+        return np.stack([variance / len({scenes[k] for k in self._half(i)}) for i in range(len(scenes))])
 
     def _half(self, pair: int) -> list[int]:
         return list(self.split.fit if pair in self.split.fit else self.split.held_out)
@@ -99,7 +130,8 @@ class StatisticsProblem:
         """(N, ...) each pair gets the mean of its half."""
         found = np.empty_like(values, float)
         for half in (self.split.fit, self.split.held_out):
-            found[list(half)] = values[list(half)].mean(0)
+            if half:
+                found[list(half)] = values[list(half)].mean(0)
         return found
 
     def units(self, z: np.ndarray) -> np.ndarray:
@@ -108,13 +140,13 @@ class StatisticsProblem:
 
     def errors(self, z: np.ndarray) -> np.ndarray:
         """(N,) each pair's part in the square of its half's mean difference, the mean of these parts."""
-        own = self._scale * (self.real - self.simulated(z))
+        own = self._scale * self._counted * (self.real - self.simulated(z))
         return (own * self._mean(own)).mean(1)
 
     def move_to(self, z: np.ndarray) -> None:
         self.z = np.asarray(z, float)
         self._simulated = self.simulated(self.z)
-        self.difference = self._mean(self._scale * (self.real - self._simulated))
+        self.difference = self._mean(self._scale * self._counted * (self.real - self._simulated))
         self.columns: dict[int, np.ndarray] = {}
 
     @property
@@ -125,9 +157,39 @@ class StatisticsProblem:
     def current(self) -> np.ndarray:
         return np.asarray(self.base_picture)
 
-    def take(self, which: Sequence[int]) -> Part:
-        """Some of the pairs; what repeats in all of them is still looked for in all."""
-        return Part(self, which)
+    def placed(self, z: np.ndarray, i: int, value: float) -> np.ndarray:
+        """The point with one coordinate elsewhere; a noise that is added there is taken from read noise."""
+        return placed(self.model, z, i, value)
+
+    def starts(self, own: Sequence[int]) -> list[np.ndarray]:
+        """Where to begin fitting a noise."""
+        return starts(self.model, self.z, own)
+
+    def take(self, which: Sequence[int]) -> Any:
+        """Those that are fitted as a problem of their own, which takes half as long to move; others as part
+        of the whole, where what repeats is looked for in all."""
+        if tuple(which) != tuple(self.split.fit):
+            return Part(self, which)
+        part, index = copy.copy(self), list(which)
+        part.__dict__.update(self._fitted)
+        part._scale = self._scale[index]
+        part._simulated = part.simulated(part.z)
+        part.difference = part._mean(part._scale * part._counted * (part.real - part._simulated))
+        part.columns = {i: column[index] for i, column in self.columns.items()}
+        return part
+
+    @functools.cached_property
+    def _fitted(self) -> dict[str, Any]:
+        """What a problem of the fitted pairs alone has in place of the whole one's."""
+        index = list(self.split.fit)
+        own: dict[str, Any] = {"pairs": self.pairs.take(index), "split": Split(tuple(range(len(index))), ())}
+        own |= {name: getattr(self, name)[np.array(index)] for name in ("mask", "base_picture", "target")}
+        own["_maps"] = tuple((m[np.array(index)], inverse[np.array(index)]) for m, inverse in self._maps)
+        own["_frames"] = frames_of([scene_name(name) for name in own["pairs"].names])
+        own["_numbers"] = index
+        part = copy.copy(self)
+        part.__dict__.update(own)
+        return own | {"real": part.measured(part.target)}
 
     def choose(self, choice: Choice) -> None:
         self.model = self.model.chosen(choice)
@@ -136,7 +198,8 @@ class StatisticsProblem:
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         for i in set(which) - set(self.columns):
             moved, step = self.model.probe(self.z, i, (steps or {}).get(i))
-            self.columns[i] = self._mean(self._scale * (self.simulated(moved) - self._simulated)) / step
+            change = self.simulated(moved) - self._simulated
+            self.columns[i] = self._mean(self._scale * self._counted * change) / step
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         stacked = np.stack([self.columns[i] for i in which], 1)
@@ -150,9 +213,9 @@ class StatisticsProblem:
         names = feature_names()
         axes = np.array([axis_of(name) for name in names])
         mean = self.difference[list(held)].mean(0)
-        excess = mean**2 - weights()
+        excess = mean**2 - self._weights
         above = {str(axis): max(float(excess[axes == axis].sum()), 0.0) for axis in axes}
-        mean = mean / np.sqrt(weights())
+        mean = mean / np.sqrt(self._weights)
         found = [
             {
                 "axis": axis,
@@ -184,8 +247,8 @@ def clean_problem(
     loaded: Sequence[Loaded], exclude: Sequence[str], seed: int, tick: Tick
 ) -> tuple[StatisticsProblem, Split, dict[str, float], list[str], np.ndarray]:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics."""
-    pairs = _pairs(loaded)
-    split = _split(pairs.names)
+    pairs = clean_pairs(loaded)
+    split = split_of(pairs.names)
     effects = prepare.candidates(CLEAN_NOISY, exclude)
     tick(0, 3, "fitting the base")
     file = loaded[0].jpeg
@@ -193,10 +256,9 @@ def clean_problem(
     camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
     pairs, noise_free = mean.pairs, to_steps(mean.rendered(mean.z))
     model = camera.whole_model(mean.model.moved(mean.z), effects)
-    problem = StatisticsProblem(model, pairs, noise_free, split, seed)
+    problem = StatisticsProblem(model, camera, pairs, noise_free, split, seed)
     tick(0, 3, "fitting the noise")
     fit_noise(problem, split.fit)
-    problem.set_unit()
     absorbed = dict.fromkeys(
         ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level"), 0.0
     )
@@ -205,61 +267,3 @@ def clean_problem(
         stated.add("chroma_subsampling")
     offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
     return problem, split, absorbed, offered, problem.floors
-
-
-def _split(names: Sequence[str]) -> Split:
-    """Every other scene is fitted, with all of its frames."""
-    scenes = [_scene(name) for name in names]
-    order = list(dict.fromkeys(scenes))
-    if len(order) == 1:
-        order, scenes = list(names), list(names)
-    fitted = set(order[::2])
-    which = [[i for i, s in enumerate(scenes) if (s in fitted) == first] for first in (True, False)]
-    return Split(tuple(which[0]), tuple(which[1]))
-
-
-def _scene(name: str) -> str:
-    """The stem without the number of a repeated frame."""
-    return re.sub(r"\.f\d{2,}$", "", name)
-
-
-def _pairs(loaded: Sequence[Loaded]) -> Pairs:
-    loaded = [_framed(p) for p in {p.name: p for p in loaded}.values()]
-    crops = prepare.common_crop(loaded)
-    clean = np.stack([_linear(p)[c] for p, c in zip(loaded, crops)])
-    pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
-    clean = np.stack([_laid_under(s, p) for s, p in zip(clean, pictures)])
-    names = tuple(p.name for p in loaded)
-    return prepare.in_halves(
-        Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(pictures))
-    )
-
-
-def _framed(pair: Loaded) -> Loaded:
-    """The clean picture cut, or continued, by a few pixels to the size of the noisy one, about its middle."""
-    clean, wanted = np.asarray(pair.clean), pair.picture.shape
-    if any(abs(a - b) > 2 * BORDER for a, b in zip(clean.shape[:2], wanted[:2])):
-        return pair  # too far apart for that: left for the check of sizes to refuse
-    for axis in (0, 1):
-        missing = wanted[axis] - clean.shape[axis]
-        if missing > 0:
-            width = [(missing // 2, missing - missing // 2) if a == axis else (0, 0) for a in range(3)]
-            clean = np.pad(clean, width, mode="edge")
-        start = -missing // 2 if missing < 0 else 0
-        clean = np.take(clean, range(start, start + wanted[axis]), axis)
-    return dataclasses.replace(pair, clean=clean)
-
-
-def _laid_under(scene: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """The scene moved by whole pixels to where the picture has its details: the picture keeps its place on
-    the grids of its colour filter array and of its file."""
-    found = estimate(picture, np.sqrt(np.clip(scene.mean(-1), 0, None)))
-    move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in (found.dy, found.dx)]
-    return np.roll(scene, move, (0, 1)) if same_scene(found, scene.shape[:2]) else scene
-
-
-def _linear(pair: Loaded) -> np.ndarray:
-    clean = np.asarray(pair.clean, np.float32)
-    if pair.settings.clean_encoding == "linear":
-        return clean
-    return np.where(clean <= 0.04045, clean / 12.92, ((clean + 0.055) / 1.055) ** 2.4)

@@ -11,13 +11,16 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.gap import prepare
+from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
 from jaxisp.gap.grain import grain_trial, with_grain
-from jaxisp.gap.residual import Problem, floor_difference, floor_errors
+from jaxisp.gap.measured import Split
+from jaxisp.gap.refit import interval
+from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
 from jaxisp.gap.where import where
-from jaxisp.gap.which import Split, Tick, interval, search
+from jaxisp.gap.which import Tick, search
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
@@ -26,7 +29,7 @@ METRIC = {
     RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
     "summed over the three channels, large errors of single edges weighed down",
     "clean+noisy": "mean square difference of the statistics of the residual, mean error included, in "
-    "units of what is harmless or chance (squared)",
+    "units of what is harmless or chance (squared), those weighed up that differ on the fitted pairs",
 }
 
 
@@ -89,7 +92,9 @@ def diagnose(
     pictures = _pictures(problem, held[0], "before")
     least = max(NULL_DROP[case.kind] * floor / scale, LEAST_CLOSED[case.kind])
     start, model = problem.z.copy(), problem.model
-    causes, trials, promises = search(problem, case.offered, case.split, scale, least, MOST_CAUSES, tick)
+    most = MOST_CAUSES if before >= floor * (1 + NULL_DROP[case.kind]) else 0  # nothing could be accepted
+    enough = LEAST_CLOSED[case.kind] or -np.inf
+    causes, trials, promises = search(problem, case.offered, case.split, scale, least, most, tick, enough)
     if case.stored is not None:
         grain = grain_trial(problem, case.stored, case.split, scale, least)
         causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
@@ -210,9 +215,13 @@ def _raw_problem(
     else:
         model = prepare.camera_model(camera, loaded, effects)
         absorbed, choices = {}, []
+    elsewhere = (0, 0)
+    if loaded[0].jpeg is not None and "double_compression" in model.effects:
+        elsewhere = earlier_grid(to_steps(pairs.pictures)[..., 0])
+        model = prepare.with_earlier_grid(model, elsewhere)
     problem = Problem(model, pairs, choices)
     problem.weigh(problem.robust_weights())
-    if loaded[0].jpeg is not None and "double_compression" in model.effects:
+    if loaded[0].jpeg is not None and "double_compression" in model.effects and elsewhere == (0, 0):
         quality = float(loaded[0].jpeg.quality)
         problem.references = dict.fromkeys(model.indices(["double_compression"]), quality)
     # a file that is no JPEG was compressed once, if at all; a JPEG's header states how it was last

@@ -10,6 +10,7 @@ from typing import Any
 
 from jaxisp.pipeline import Node, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS
+from jaxisp.stages.look import SECTORS
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
 BOTH = (RAW_JPEG, CLEAN_NOISY)
@@ -36,6 +37,7 @@ class Move:
         index: which entry of the field; () for a number.
         off: its value where the effect is absent; the probe starts there.
         grid: changes that are tried one by one, where the picture does not follow the parameter smoothly.
+        fine: how closely it is searched for at last; 0: to a quarter of the grid's spacing.
     """
 
     field: str
@@ -45,6 +47,7 @@ class Move:
     index: tuple[int, ...] = ()
     off: float = 0.0
     grid: tuple[float, ...] = ()
+    fine: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ class Effect:
 
 
 EFFECTS: dict[str, Effect] = {}
+"""Effects that `diagnose` tries, by name; `register_effect` adds to it."""
 
 
 def register_effect(effect: Effect) -> Effect:
@@ -104,6 +108,7 @@ def register_effect(effect: Effect) -> Effect:
     return effect
 
 
+_STEPS = tuple(0.006 * 1.18**k for k in range(16))
 _QUALITIES = (20.0, 35.0, 50.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0, 94.0)
 
 
@@ -190,8 +195,8 @@ _add(
 )  # fmt: skip
 _add(
     "color_lut", stage("selective_color"), "encoded",
-    [*_entries("hue", 6, 0.1, -0.6, 0.6), *_entries("saturation", 6, 0.15, -0.8, 0.8),
-     *_entries("lightness", 6, 0.1, -0.8, 0.8)],
+    [*_entries("hue", SECTORS, 0.2, -1.2, 1.2), *_entries("saturation", SECTORS, 0.3, -1, 2),
+     *_entries("lightness", SECTORS, 0.2, -1.5, 1.5)],
     "hue saturation", "color_matrix saturation",
     contains=("saturation",),
 )  # fmt: skip
@@ -231,8 +236,9 @@ _add(
     "edge cfa_phase frequency", "crosstalk green_imbalance chroma_denoising lateral_chromatic_aberration",
 )  # fmt: skip
 _add(
-    "resampling", stage("resampling"), "encoded",
-    [Move("factor", 0.4, 0, 2, off=1, grid=(0.15, 0.3, 0.5, 0.75, 1, 1.5))],
+    "resampling", stage("rescaling"), "encoded",
+    [Move("factor", 0.4, 0, 2, off=1, grid=(0.08, 0.15, 0.3, 0.5, 0.75, 1, 1.5), fine=0.003),
+     *_entries("shares", 3, 0.5, -0.2, 1.2)],
     "frequency edge", "optical_blur luma_denoising",
 )  # fmt: skip
 _add(
@@ -287,12 +293,12 @@ _add(
     "tail fixed_pattern", "heavy_tailed_noise prnu", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(
-    "adc_quantization", stage("adc_quantization"), "mosaic",
-    [Move("bits", -8.0, -12, 0, off=16, grid=(-7, -8, -9, -9.5, -10, -10.5, -11, -11.5))],
+    "adc_quantization", stage("level_steps"), "mosaic",
+    [Move("step", 0.02, 0, 0.12, grid=_STEPS)],
     "intensity tail", "noise_level", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(
     "film_grain", stage("film_grain"), "encoded",
-    [Move("std", 0.02, 0, 0.2)],
+    [Move("std", 0.02, 0, 0.2), Move("sigma", 0.15, -0.4, 0.8, off=0.8)],
     "intensity frequency lag", "noise_level correlated_noise", random=True,
 )  # fmt: skip

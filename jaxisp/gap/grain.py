@@ -11,8 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
 
+from jaxisp.gap.measured import Split
+from jaxisp.gap.refit import Trial, interval
 from jaxisp.gap.residual import Problem
-from jaxisp.gap.which import LEADING, Split, Trial, interval
+from jaxisp.gap.which import LEADING
 
 Cause = tuple[Trial, list[str]]
 

@@ -20,7 +20,10 @@ from jaxisp.stages.jpeg import JpegTables
 _TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
 """What a phone's colour matrix has beside the identity; its rows keep white."""
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
-_NOISE = ("shot", "read", "red_gain", "blue_gain")
+_SETTLED = 0.01
+_ALIKE = 3.0
+"""By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
+NOISE = ("shot", "read", "red_gain", "blue_gain")
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
@@ -69,7 +72,7 @@ class Camera:
             encoder,
         ]
         chain = Chain(tuple(nodes), "plain")
-        return chain, chain.init() | _balances(self.gains, self.late) | tables
+        return chain, chain.init() | balances(self.gains, self.late) | tables
 
     def _encoder(self) -> tuple[Stage, Params]:
         if self.file is None or self.file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
@@ -109,7 +112,7 @@ def _narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
     return found
 
 
-def _balances(gains: tuple[float, float], late: bool) -> Params:
+def balances(gains: tuple[float, float], late: bool) -> Params:
     """From balanced light to what the sensor reads, and back before demosaicking or after."""
     own, one = np.array([gains[0], 1, gains[1]], np.float32), np.ones(3, np.float32)
     order = (1 / own, one, own) if late else (1 / own, own, one)
@@ -134,13 +137,18 @@ def fit_mean(
         the camera, its colour filter array found unless it is given, and the problem at the best point.
     """
     camera = Camera(file, cfa or "RGGB")
+    pairs = _scaled(pairs)
     matrix = start_matrix(np.asarray(pairs.light), pairs.pictures, pairs.mask)
     start: Params = {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
     problem = Problem(camera.mean_model(start), pairs)
-    for steps in (3, 1, 2):
+    for steps in (3, 1, 1, 1, 1, 2):
         fit(problem, problem.model.base_indices, fit_on, steps=steps)
-        problem.pairs = pairs = _exposed(problem)
+        problem.pairs, change = _exposed(problem)
+        pairs = problem.pairs
         problem.move_to(problem.z)
+        if change < _SETTLED and steps == 1:
+            break
+    fit(problem, problem.model.base_indices, fit_on, steps=2)
     fitted = problem.model.moved(problem.z).shared
     if cfa is None:
         camera = _with_pattern(camera, fitted, pairs, fit_on)
@@ -166,14 +174,34 @@ def _refined(camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int]
     return camera
 
 
-def _exposed(problem: Problem) -> Pairs:
-    """The pairs with each scene's light scaled to the exposure that its own picture shows."""
+def _scaled(pairs: Pairs) -> Pairs:
+    """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
+    may be of another exposure, tens of times as dark."""
+    light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
+    pictures = np.clip(pairs.pictures, 0, 1).astype(np.float64)
+    linear = np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
+    ratio = (linear * own).sum((1, 2, 3)) / np.maximum((light * own).sum((1, 2, 3)), 1e-9)
+    if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
+        ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
+    return dataclasses.replace(pairs, light=pairs.light * ratio.astype(np.float32)[:, None, None, None])
+
+
+def _exposed(problem: Problem) -> tuple[Pairs, float]:
+    """The pairs with each scene's light scaled to the exposure that its own picture shows, channel by channel
+    (white is balanced for each scene), and the largest change that this was."""
     pairs, probe = problem.pairs, 1.05
-    brighter = problem.model.render(problem.z, pairs.light * probe)[problem.inner]
-    change = (to_steps(brighter) - problem.current) * problem.weight / (probe - 1)
-    gain = 1 + (change * problem.residual).sum((1, 2, 3)) / ((change**2).sum((1, 2, 3)) + 1e-9)
-    gain = np.clip(gain / np.exp(np.log(np.clip(gain, 0.5, 2)).mean()), 0.5, 2).astype(np.float32)
-    return dataclasses.replace(pairs, light=pairs.light * gain[:, None, None, None])
+    columns = []
+    for gains in 1 + (probe - 1) * np.eye(3, dtype=np.float32):
+        brighter = to_steps(problem.model.render(problem.z, pairs.light * gains)[problem.inner])
+        columns.append((brighter - problem.current) * problem.weight / (probe - 1))
+    stacked = np.stack(columns, 1).reshape(len(pairs.names), 3, -1)
+    gram = np.einsum("nip,njp->nij", stacked, stacked, dtype=np.float64)
+    slope = np.einsum("nip,np->ni", stacked, problem.residual.reshape(len(stacked), -1), dtype=np.float64)
+    damping = 1e-3 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-9
+    gain = np.clip(1 + np.linalg.solve(gram + damping, slope[..., None])[..., 0], 0.5, 2)
+    gain = np.clip(gain / np.exp(np.log(gain).mean(0)), 0.5, 2).astype(np.float32)
+    moved = dataclasses.replace(pairs, light=pairs.light * gain[:, None, None, :])
+    return moved, float(np.abs(gain - 1).max())
 
 
 def _with_pattern(camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int]) -> Camera:
@@ -221,7 +249,7 @@ def _error(camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int]) 
 def noise_freedom(params: Params) -> list[Coordinate]:
     """The noise of the base, each number free to shrink to its least and to grow as its stage allows."""
     found = []
-    for field, least, most in zip(_NOISE, (2e-5, 3e-4, 0.2, 0.2), (0.1, 0.2, 8.0, 8.0)):
+    for field, least, most in zip(NOISE, (2e-5, 3e-4, 0.2, 0.2), (0.1, 0.2, 8.0, 8.0)):
         value = float(getattr(params["balanced_noise"], field))
         step = 0.25 * max(value, 4 * least)
         found.append(Coordinate("balanced_noise", Move(field, step, min(0.0, least - value), most - value)))
@@ -239,31 +267,3 @@ def primaries(matrix: Any, share: float) -> Params:
         "primaries": ColorMatrix(matrix=np.asarray(np.clip(before, -4, 4), np.float32)),
         "color_matrix": ColorMatrix(matrix=np.asarray(np.clip(after, -4, 4), np.float32)),
     }
-
-
-def fit_noise(problem: Any, fit_on: Sequence[int]) -> None:
-    """The noise that explains the statistics best, then all that is free in the base. Leaves the problem at
-    z = 0 of the model that is found."""
-    _settle(problem, list(range(len(_NOISE))), fit_on, steps=5)
-    problem.set_unit()
-    _settle(problem, problem.model.base_indices, fit_on, steps=3, keep=True)
-
-
-def _settle(problem: Any, which: list[int], fit_on: Sequence[int], steps: int, keep: bool = False) -> None:
-    """Fit, and make where that ends the model's z = 0; `keep` works with the columns of the start."""
-    problem.compute(which)
-    fit(problem, which, fit_on, steps=steps, fresh=[] if keep else None)
-    problem.model = rebased(problem.model, problem.z)
-    problem.move_to(np.zeros(len(problem.z)))
-
-
-def rebased(model: Model, z: np.ndarray) -> Model:
-    """The model with the base's z put into its parameters, the bounds of its noise moved along; where white
-    is balanced first, its gains are those that the noise shows."""
-    moved = model.moved(z)
-    if np.allclose(moved.shared["later_balance"].gains, 1):
-        noise = moved.shared["balanced_noise"]
-        gains = [float(np.clip(g, 0.5, 4)) for g in (noise.red_gain, noise.blue_gain)]
-        moved = dataclasses.replace(moved, shared=moved.shared | _balances((gains[0], gains[1]), late=False))
-    base = (*noise_freedom(moved.shared), *model.base[len(_NOISE) :])
-    return dataclasses.replace(moved, base=base)

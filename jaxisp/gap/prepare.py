@@ -1,5 +1,6 @@
 """From a data set on disk to pairs of one size, and the base that is put before them."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -168,6 +169,14 @@ def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Eff
     per_pair = {name: jax.tree.map(lambda *v: np.stack(v), *(o[name] for o in own)) for name in stated}
     shared = {name: value for name, value in own[0].items() if name not in stated}
     return build(_with_choice(chain), shared, per_pair, [], effects)
+
+
+def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
+    """The model whose earlier compression, if it is tried, began at this row and column."""
+    name = "double_compression"
+    row, column = (np.float32(v) for v in place)
+    moved = dataclasses.replace(model.shared[name], row=row, column=column)
+    return dataclasses.replace(model, shared=model.shared | {name: moved})
 
 
 def _with_choice(chain: Chain) -> Chain:

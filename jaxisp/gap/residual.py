@@ -81,6 +81,18 @@ class Problem:
         part.columns = {i: column[index] for i, column in self.columns.items()}
         return part
 
+    fresh: Sequence[int] = ()
+
+    def placed(self, z: np.ndarray, i: int, value: float) -> np.ndarray:
+        """The point with one coordinate elsewhere."""
+        moved = z.copy()
+        moved[i] = value
+        return moved
+
+    def starts(self, own: Sequence[int]) -> list[np.ndarray]:
+        """Where to begin fitting these coordinates: where the problem is, if there is nothing to choose."""
+        return []
+
     def choose(self, choice: Choice) -> None:
         """Put a choice into the base, and stay at the same point."""
         self.model = self.model.chosen(choice)

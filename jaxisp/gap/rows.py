@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
-from jaxisp.gap.which import Trial
+from jaxisp.gap.refit import Trial
 
 
 def base_row(model: Model, absorbed: dict[str, float]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap.noisy_codes import Codes, comb_part, unknown_codes
 from jaxisp.gap.noisy_mean import CHANNELS, Maps, blurred, mean_names, tents
 from jaxisp.windows import gaussian_blur
 
@@ -41,14 +42,14 @@ def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
     return mask / (1 + (activity / 2.0) ** 2) ** 2
 
 
-def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array) -> Found:
+def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Codes) -> Found:
     """Spread, spectrum, correlation, lines, tails and grids of one residual's noise."""
     flat = flatness(s, mask)
     smooth = [blurred(r, sigma) for sigma in (1.0, 2.5, 6.0)]
     bands = [r - smooth[0], smooth[0] - smooth[1], smooth[1] - smooth[2]]
     high = r - smooth[1]
     found = _spread(high, bands, s, mask, flat) | _correlations(high, flat, s[..., 0]) | _lines(r, flat)
-    found |= _tails(high[..., 0], s[..., 0], flat) | _grids(high, y, flat)
+    found |= _tails(high[..., 0], s[..., 0], flat) | _grids(high, y, flat) | comb_part(y, s, flat, seen)
     return found
 
 
@@ -135,9 +136,11 @@ def _grids(high: jax.Array, y: jax.Array, flat: jax.Array) -> Found:
         by_phase = jnp.stack([jump[k::8].mean() for k in range(8)])
         for k in range(8):
             found[f"logvar block_phase {of}{k}"] = _log(by_phase[k], by_phase.mean(), 0.01)
+    h, w = (n // 8 * 8 for n in flat.shape)
+    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3))[..., None, None]  # edges are no noise
     for c, name in enumerate(CHANNELS):
         size = jnp.abs(_blocks(y[..., c]))
-        near = jnp.exp(-((size / 1.5) ** 2)).mean((0, 1))
+        near = (jnp.exp(-((size / 1.5) ** 2)) * even).sum((0, 1)) / (even.sum() + 1e-3)
         for k in range(3):
             band = (_ORDER // 4).clip(max=2) == k
             found[f"comb block_phase {name}{k}"] = (near * band).sum() / band.sum()
@@ -205,34 +208,53 @@ def frames_of(scenes: Sequence[str]) -> Frames:
     return Frames(jnp.asarray(average, jnp.float32), jnp.asarray(others, jnp.float32))
 
 
-@jax.jit
 def features(
-    y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...], frames: Frames
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...], frames: Frames, seen: Codes
 ) -> jax.Array:
     """(N, F) statistics of pictures (N, h, w, 3) against noise-free ones, all in Y'CbCr in 8-bit steps.
 
     Args:
         maps: `normalised_regressors` of each channel.
         frames: where a scene has several, their noise is what each differs in from their mean.
+        seen: how to get back to what the sensor read.
     """
-    r = y - s
+    each = [tuple((m[n], inverse[n]) for m, inverse in maps) for n in range(len(y))]
+    parts = [_mean_part(y[n], s[n], mask[n], own) for n, own in enumerate(each)]  # compiled once for any N
+    means, whole = (jnp.stack(part) for part in zip(*parts))
+    noise = _apart(whole, mask, frames.average)
+    patterns = _patterns(whole, s, mask, frames.others)
+    rows = []
+    for n in range(len(y)):
+        own = _noise_part(noise[n], y[n], s[n], mask[n], seen) | {k: v[n] for k, v in patterns.items()}
+        rows.append(jnp.stack([own[name] for name in sorted(own)]))
+    return jnp.concatenate([means, jnp.stack(rows)], 1)
+
+
+_noise_part = jax.jit(noise_part)
+_patterns = jax.jit(pattern_part)
+
+
+@jax.jit
+def _mean_part(
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...]
+) -> tuple[jax.Array, jax.Array]:
+    """The amplitudes of one picture's maps, and what a regression on them leaves of its residual."""
     means, left = [], []
     for c, (m, inverse) in enumerate(maps):
-        flat = r[..., c].reshape(len(r), -1)
-        amplitude = jnp.einsum("nkp,np->nk", m, flat, precision="highest")
-        fitted = jnp.einsum("nkp,nkl,nl->np", m, inverse, amplitude, precision="highest")
+        flat = (y - s)[..., c].reshape(-1)
+        amplitude = jnp.einsum("kp,p->k", m, flat, precision="highest")
+        fitted = jnp.einsum("kp,k->p", m, inverse @ amplitude, precision="highest")
         means.append(amplitude)
-        left.append((flat - fitted).reshape(r.shape[:-1]))
-    whole = jnp.stack(left, -1) * mask[..., None]
-    apart = jnp.eye(len(r)) - frames.average
+        left.append((flat - fitted).reshape(mask.shape))
+    return jnp.concatenate(means), jnp.stack(left, -1) * mask[..., None]
+
+
+@jax.jit
+def _apart(whole: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
+    """What each picture differs in from the mean of its scene's frames."""
+    apart = jnp.eye(len(whole)) - average
     apart = apart / jnp.sqrt((apart**2).sum(1, keepdims=True))
-    noise = jnp.tensordot(apart, whole, 1, precision="highest") * mask[..., None]
-
-    def one(pair: Any) -> Found:
-        return noise_part(*pair)
-
-    found = jax.lax.map(one, (noise, y, s, mask)) | pattern_part(whole, s, mask, frames.others)
-    return jnp.concatenate([*means, jnp.stack([found[name] for name in sorted(found)], 1)], 1)
+    return jnp.tensordot(apart, whole, 1, precision="highest") * mask[..., None]
 
 
 @functools.cache
@@ -240,7 +262,7 @@ def feature_names() -> tuple[str, ...]:
     """In the order of the columns of `features`; "kind axis what"."""
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
-    noise = jax.eval_shape(noise_part, shape, shape, shape, mask)
+    noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_codes((32, 32)))
     many = jax.ShapeDtypeStruct((2, 32, 32, 3), jnp.float32)
     masks, pairs = (jax.ShapeDtypeStruct(n, jnp.float32) for n in ((2, 32, 32), (2, 2)))
     patterns = jax.eval_shape(pattern_part, many, many, masks, pairs)

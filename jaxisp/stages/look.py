@@ -12,7 +12,8 @@ from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur
 
-SECTORS = 6
+SECTORS = 16
+_DARK = 0.05  # below this maximum of the channels saturation, which is mostly noise there, fades
 _REDUCED = 4  # local means are taken of blocks of 4x4: they are wide, and 16 times cheaper there
 
 
@@ -58,23 +59,26 @@ def _b_spline(u: jax.Array) -> jax.Array:
 
 @parameters
 class SelectiveColor:
-    """Changes of six sectors of hue, from the hue of blue-yellow's positive axis, 60 degrees each."""
+    """Changes of sixteen sectors of hue, from the hue of blue-yellow's positive axis on, 22.5 degrees each.
 
-    hue: Leaf = param((0.0,) * SECTORS, (-0.6, 0.6), "rad", doc="rotation of the hues of each sector")
-    saturation: Leaf = param((0.0,) * SECTORS, (-0.8, 0.8), "1", doc="chroma gain less 1 of each sector")
-    lightness: Leaf = param((0.0,) * SECTORS, (-0.8, 0.8), "1", doc="luma added per unit of chroma")
+    Each is that of a fully saturated colour; others change in proportion to their saturation.
+    """
+
+    hue: Leaf = param((0.0,) * SECTORS, (-1.2, 1.2), "rad", doc="rotation of the hues of each sector")
+    saturation: Leaf = param((0.0,) * SECTORS, (-1.0, 2.0), "1", doc="chroma gain less 1 of each sector")
+    lightness: Leaf = param((0.0,) * SECTORS, (-1.5, 1.5), "1", doc="luma added per unit of chroma")
 
 
 @register
 def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
     """Turn, saturate and lighten some hues more than others, as a colour look-up table does.
 
-    In Y'CbCr, with hue h = atan2(Cr, Cb) and w_k(h) six raised cosines that sum to 1:
-    chroma is turned by `sum_k w_k hue_k` and scaled by `1 + sum_k w_k saturation_k`;
-    `Y' += |C| sum_k w_k lightness_k`.
+    In Y'CbCr, with hue h = atan2(Cr, Cb), saturation s = (max - min) / max of the channels and sixteen
+    raised cosines w_k(h) that sum to 1: chroma is turned by `s sum_k w_k hue_k` and scaled by
+    `1 + s sum_k w_k saturation_k`; `Y' += |C| s sum_k w_k lightness_k`.
 
     Args:
-        params: six numbers each; all 0 leave the image as it is, up to rounding.
+        params: sixteen numbers each; all 0 leave the image as it is, up to rounding.
         image: (H, W, 3) encoded, any range.
 
     Returns:
@@ -82,26 +86,35 @@ def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
 
     Gradient: exact (at grey, where hue has none, that to the hue is 0).
 
-    Source: DNG Specification 1.6, ProfileHueSatMapData; the six-sector form is that of RAW converters.
+    Source: DNG Specification 1.6, ProfileHueSatMapData, whose tables too are by hue and saturation.
     """
-    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
+    red, green, blue = planes(image)
+    y, cb, cr = rgb_to_ycbcr_planes(red, green, blue)
     colored = cb * cb + cr * cr > 1e-12
     hue = jnp.arctan2(jnp.where(colored, cr, 0.0), jnp.where(colored, cb, 1.0))
-    weights = [_sector(hue - 2 * math.pi * k / SECTORS) for k in range(SECTORS)]
+    high = jnp.maximum(jnp.maximum(red, green), blue)
+    low = jnp.minimum(jnp.minimum(red, green), blue)
+    saturation = jnp.clip((high - low) / jnp.maximum(high, _DARK), 0, 1)
     turn, gain, lift = (
-        sum((w * amounts[k] for k, w in enumerate(weights)), jnp.zeros_like(y))
-        for amounts in (params.hue, params.saturation, params.lightness)
+        saturation * amount for amount in _by_hue(hue, (params.hue, params.saturation, params.lightness))
     )
     cos, sin = (1 + gain) * jnp.cos(turn), (1 + gain) * jnp.sin(turn)
     chroma = safe_sqrt(cb * cb + cr * cr)
     return jnp.stack(ycbcr_to_rgb_planes(y + lift * chroma, cos * cb - sin * cr, sin * cb + cos * cr), -1)
 
 
-def _sector(angle: jax.Array) -> jax.Array:
-    """1 at its middle, 0 from the middle of the next on."""
-    width = 2 * math.pi / SECTORS
-    distance = jnp.abs(angle - 2 * math.pi * jnp.round(angle / (2 * math.pi)))
-    return jnp.where(distance < width, 0.5 + 0.5 * jnp.cos(math.pi * jnp.minimum(distance / width, 1)), 0)
+def _by_hue(hue: jax.Array, amounts: tuple[jax.Array, ...]) -> list[jax.Array]:
+    """What each list of amounts has at a hue [rad]: raised cosines from one sector's middle to the next's."""
+    at = hue * (SECTORS / (2 * math.pi)) % SECTORS
+    first = jnp.where(at < SECTORS, jnp.floor(at), 0)  # a hue just below 0 may be rounded up to all of them
+    share = 0.5 - 0.5 * jnp.cos(math.pi * (at - first))  # of the next
+    values = [jnp.zeros_like(hue) for _ in amounts]
+    for k in range(SECTORS):
+        here = first == k
+        for i, a in enumerate(amounts):
+            between = a[k] + share * (a[(k + 1) % SECTORS] - a[k])
+            values[i] = jnp.where(here, between, values[i])
+    return values
 
 
 @parameters

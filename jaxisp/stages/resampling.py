@@ -1,6 +1,6 @@
 """Change of size, and what a change of size and back leaves of a picture."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -95,17 +95,44 @@ class Resampling:
     factor: Leaf = param(1.5, (1.0, float(_LARGEST)), "1", log=True, doc="size over the smaller size")
 
 
-@register
-def resampling(params: Resampling, image: RGB, *, method: str = "bilinear") -> RGB:
-    """Shrink by a factor, antialiased, and enlarge to the old size, as a digital zoom or a rescaled upload.
+class _Way(NamedTuple):
+    """The kernels of the way down and the way back, and whether the first is widened."""
 
-    `y = U(f) D(f) x` on each axis: D takes samples every f px with the kernel f times as wide, U
-    interpolates them with the kernel.
+    shrink: str
+    enlarge: str
+    antialias: bool
+
+    @property
+    def margin(self) -> int:
+        """The support of both together, at the largest factor [px]."""
+        return (_SUPPORT[self.shrink] + _SUPPORT[self.enlarge]) * _LARGEST
+
+    def down(self, sample: jax.Array, pixel: jax.Array, factor: jax.Array, size: int) -> jax.Array:
+        """The weight of a pixel in a sample, by where they stand [px] on an axis of `size`."""
+        if self.antialias:
+            return KERNELS[self.shrink]((sample - pixel) / factor)
+        return KERNELS[self.shrink](jnp.minimum(sample, size - 1) - pixel)  # the last may stand outside
+
+    def up(self, distance: jax.Array) -> jax.Array:
+        """The weight of a sample this far [samples] from a pixel."""
+        return KERNELS[self.enlarge](distance)
+
+
+@register
+def resampling(
+    params: Resampling, image: RGB, *, method: str = "bilinear", back: str = "", antialias: bool = True
+) -> RGB:
+    """Shrink by a factor and enlarge to the old size, as a digital zoom or a rescaled upload.
+
+    `y = U(f) D(f) x` on each axis: D takes samples every f px with the kernel f times as wide (as it is
+    where `antialias` is off), U interpolates them with the kernel.
 
     Args:
         params: the factor; the smaller size need not come out whole.
         image: (H, W, 3), any range; bicubic may overshoot it.
         method: "bilinear" or "bicubic" (Keys, a = -1/2), both ways.
+        back: the method of the way back, where it is another.
+        antialias: widen the kernel that shrinks.
 
     Returns:
         (H, W, 3) in the domain of the image; exactly the image at factor 1.
@@ -117,37 +144,38 @@ def resampling(params: Resampling, image: RGB, *, method: str = "bilinear") -> R
 
     Source: Keys 1981; Turkowski 1990.
     """
-    if method not in KERNELS:
-        raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {method!r}")
-    factor, band = params.factor.astype(image.dtype), _BLOCK + 4 * _SUPPORT[method] * _LARGEST
-    if min(image.shape[:2]) <= 2 * band:
-        rows, columns = (_there_and_back(n, factor, method) for n in image.shape[:2])
+    way = _Way(method, back or method, antialias)
+    for name in (way.shrink, way.enlarge):
+        if name not in KERNELS:
+            raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {name!r}")
+    factor = params.factor.astype(image.dtype)
+    if min(image.shape[:2]) <= 2 * (_BLOCK + 2 * way.margin):
+        rows, columns = (_there_and_back(n, factor, way) for n in image.shape[:2])
         return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
-    rows, columns = (_blocks(n, factor, method) for n in image.shape[:2])
+    rows, columns = (_blocks(n, factor, way) for n in image.shape[:2])
     turned = [materialize(_along_rows(p, rows)) for p in planes(image)]
     return jnp.stack([_along_rows(p, columns) for p in turned], axis=-1)
 
 
-def _there_and_back(size: int, factor: jax.Array, method: str) -> jax.Array:
+def _there_and_back(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     """(size, size): U(f) D(f) of one axis. Sample j of the smaller one stands at (j + 1/2) f - 1/2."""
-    kernel, at = KERNELS[method], jnp.arange(size, dtype=factor.dtype)
+    at = jnp.arange(size, dtype=factor.dtype)
     exists = at * factor < size - 1e-3
     centre = (at + 0.5) * factor - 0.5
-    shrink = kernel((centre[:, None] - at) / factor)
-    enlarge = kernel((at[:, None] + 0.5) / factor - 0.5 - at) * exists
+    shrink = way.down(centre[:, None], at, factor, size)
+    enlarge = way.up((at[:, None] + 0.5) / factor - 0.5 - at) * exists
     # a sample that does not exist keeps a weight sum of 1, so that nothing is divided by a tiny number
     shrink = jnp.where(exists[:, None], shrink, 0) / jnp.where(exists, shrink.sum(1), 1)[:, None]
     enlarge = safe_divide(enlarge, enlarge.sum(1, keepdims=True))
     return jnp.matmul(enlarge, shrink, precision=lax.Precision.HIGHEST)
 
 
-def _blocks(size: int, factor: jax.Array, method: str) -> jax.Array:
+def _blocks(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     """(n, T, T + 2 m): the blocks of `_there_and_back` on its diagonal, with the m columns around each.
 
     The matrix is 0 further than m from the diagonal, which is the support of both kernels together.
     """
-    kernel, support = KERNELS[method], _SUPPORT[method]
-    margin = 2 * support * _LARGEST
+    support, margin = _SUPPORT[way.enlarge], way.margin
     start = jnp.arange(0, size, _BLOCK, dtype=factor.dtype)[:, None]
     i = start + jnp.arange(_BLOCK, dtype=factor.dtype)
     k = start - margin + jnp.arange(_BLOCK + 2 * margin, dtype=factor.dtype)
@@ -155,8 +183,9 @@ def _blocks(size: int, factor: jax.Array, method: str) -> jax.Array:
     j = first + jnp.arange(_BLOCK + 2 * support, dtype=factor.dtype)
     exists = (j >= 0) & (j * factor < size - 1e-3)
     inside = (k >= 0) & (k < size)
-    shrink = kernel(((j[..., None] + 0.5) * factor - 0.5 - k[:, None]) / factor) * inside[:, None]
-    enlarge = kernel((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None]
+    centre = (j[..., None] + 0.5) * factor - 0.5
+    shrink = way.down(centre, k[:, None], factor, size) * inside[:, None]
+    enlarge = way.up((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None]
     # a row of which next to nothing is in the block belongs to a sample that the block does not use
     shrink = safe_divide(shrink, shrink.sum(2, keepdims=True), 0.1)
     enlarge = safe_divide(enlarge, enlarge.sum(2, keepdims=True))
@@ -171,3 +200,50 @@ def _along_rows(plane: jax.Array, blocks: jax.Array) -> jax.Array:
     window = jnp.concatenate([padded[:n, rows - margin :], padded[1:-1], padded[2:, :margin]], axis=1)
     turned = jnp.einsum("nbw,nrb->nwr", materialize(window), blocks, precision=lax.Precision.HIGHEST)
     return jnp.moveaxis(turned, 0, 1).reshape(width, n * rows)[:, :height]
+
+
+_OTHER_WAYS: tuple[dict[str, Any], ...] = (
+    {"method": "bilinear", "back": "bicubic", "antialias": False},
+    {"method": "bicubic"},
+    {"method": "bicubic", "back": "bilinear", "antialias": False},
+)
+
+
+@parameters
+class Rescaling:
+    """How far the picture was shrunk before it was enlarged again, and in which ways."""
+
+    factor: Leaf = param(1.5, (1.0, float(_LARGEST)), "1", log=True, doc="size over the smaller size")
+    shares: Leaf = param(
+        (0.0,) * len(_OTHER_WAYS),
+        (-0.5, 1.5),
+        "1",
+        doc="bilinear then bicubic, not antialiased; bicubic; bicubic then bilinear, not antialiased",
+    )
+
+
+@register
+def rescaling(params: Rescaling, image: RGB) -> RGB:
+    """`resampling` by a mix of ways, for a factor whose kernels are not known.
+
+    `y = R_0 x + sum_k share_k (R_k x - R_0 x)`, R_0 antialiased and bilinear. A way whose share is 0 is
+    not run.
+
+    Args:
+        params: the factor and the shares.
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image; exactly the image at factor 1 and shares 0.
+
+    Gradient: exact, but for the factors at which a row or column of the smaller image comes or goes.
+
+    Source: Keys 1981; Turkowski 1990.
+    """
+    factor = Resampling(factor=params.factor)
+    first = resampling(factor, image)
+    mixed = first
+    for k, way in enumerate(_OTHER_WAYS):
+        run = lambda x, way=way: resampling(factor, x, **way) - first  # noqa: E731
+        mixed = mixed + params.shares[k] * lax.cond(params.shares[k] != 0, run, jnp.zeros_like, image)
+    return mixed

@@ -11,10 +11,10 @@ from PIL import Image
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.clean_noisy import _framed, _laid_under, _split
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import Camera, noise_freedom, primaries
+from jaxisp.gap.noisy_pairs import framed, laid_under, split_of
 from jaxisp.gap.prepare import candidates
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.settings import Settings
@@ -104,17 +104,17 @@ def test_primaries_and_matrix_undo_each_other():
 
 
 def test_frames_of_a_scene_stay_on_one_side():
-    split = _split(["a.f00", "a.f01", "b.f00", "b.f01", "c"])
+    split = split_of(["a.f00", "a.f01", "b.f00", "b.f01", "c"])
     assert split.fit == (0, 1, 4) and split.held_out == (2, 3)
-    assert _split(["a.f00", "a.f01"]).held_out == (1,)
+    assert split_of(["a.f00", "a.f01"]).held_out == (1,)
 
 
 def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
     scene = np.stack([smooth_image((90, 100), k) for k in range(3)], -1).astype(np.float32)
     scene += 0.2 * (np.random.default_rng(0).random((90, 100, 1)) > 0.8)
     picture = np.sqrt(scene)[1:-1, 1:-1]
-    pair = _framed(Loaded("a", picture, None, None, scene, Settings(), False, None))
+    pair = framed(Loaded("a", picture, None, None, scene, Settings(), False, None))
     np.testing.assert_array_equal(pair.clean, scene[1:-1, 1:-1])
     moved = np.roll(picture, (2, -3), (0, 1))
-    laid = _laid_under(scene[1:-1, 1:-1], moved)
+    laid = laid_under(scene[1:-1, 1:-1], moved)
     np.testing.assert_array_equal(laid[8:-8, 8:-8], np.roll(scene[1:-1, 1:-1], (2, -3), (0, 1))[8:-8, 8:-8])

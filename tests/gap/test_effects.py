@@ -1,5 +1,7 @@
 """Every effect is the identity while it is off, and does something at its probe."""
 
+import colorsys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +30,11 @@ def mosaics():
     """From black to white, with detail and colour."""
     ramp = np.linspace(0, 1, 48) ** 2
     detail = np.stack([smooth_image((40, 48), seed) for seed in range(2)])
-    return jnp.asarray(np.clip(ramp + 0.3 * (detail - 0.5) * (ramp + 0.02), 0, 1), jnp.float32)
+    tints = np.array([colorsys.hsv_to_rgb(i // 2 / 20, 0.6, 1) for i in range(40)])[:, None]  # row by row
+    green = np.arange(40)[:, None] % 2 == np.arange(48) % 2
+    red = ~green & (np.arange(40)[:, None] % 2 == 0)
+    tinted = np.where(green, tints[..., 1], np.where(red, tints[..., 0], tints[..., 2]))
+    return jnp.asarray(np.clip((ramp + 0.3 * (detail - 0.5) * (ramp + 0.02)) * tinted, 0, 1), jnp.float32)
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +72,12 @@ def test_every_move_shows(model):
         if coordinate.node == "demosaicking" and coordinate.move.index == (1,):
             continue  # the base's own algorithm
         z = np.zeros(len(model.coordinates))
+        start = before
+        if (coordinate.node, coordinate.move.field) == ("resampling", "shares"):  # ways of what is resized
+            z[model.indices(["resampling"])[0]] = 0.5
+            start = model.render(z, light)
         z[i] = step
-        assert np.abs(model.render(z, light) - before).max() > 1e-4, coordinate
+        assert np.abs(model.render(z, light) - start).max() > 1e-4, coordinate
 
 
 def test_a_user_adds_an_effect_of_their_own():

@@ -6,6 +6,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.effects import AXES
+from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
 from jaxisp.gap.noisy_units import axis_of, tolerances, weights
 from jaxisp.gap.statistics import feature_names, features, frames_of
@@ -16,13 +17,14 @@ N, H, W = SCENE.shape[:3]
 ROW, COLUMN = np.mgrid[:H, :W]
 MASK = jnp.ones((N, H, W), jnp.float32)
 FRAMES = frames_of(["a", "b", "c", "d"])
+SEEN = unknown_codes((H, W))
 MAPS = tuple(normalised_regressors(jnp.asarray(SCENE), MASK, c) for c in range(3))
 
 
 def measured(residual):
     """(F,) means over the scenes, by name."""
     found = np.asarray(
-        features(jnp.asarray(SCENE + residual, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES)
+        features(jnp.asarray(SCENE + residual, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES, SEEN)
     )
     assert np.isfinite(found).all()
     return dict(zip(feature_names(), found.mean(0)))
@@ -69,7 +71,9 @@ def test_lines_and_impulses_are_seen_in_a_flat_scene(name, added):
     maps = tuple(normalised_regressors(ramp, MASK, c) for c in range(3))
     place = feature_names().index(name)
     plain, found = (
-        np.asarray(features(ramp + jnp.asarray(r, jnp.float32), ramp, MASK, maps, FRAMES))[:, place].mean()
+        np.asarray(features(ramp + jnp.asarray(r, jnp.float32), ramp, MASK, maps, FRAMES, SEEN))[
+            :, place
+        ].mean()
         for r in (white(0), white(0) + luma(added))
     )
     assert found - plain > 0.4
@@ -98,7 +102,7 @@ def test_amplitudes_are_root_mean_squares_in_steps():
     scaled = np.zeros((N, H, W, 3))
     scaled[0, ..., channel] = np.asarray(plane)
     amplitude = np.sqrt(np.mean(np.asarray(plane) ** 2))
-    found = features(jnp.asarray(SCENE + scaled, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES)
+    found = features(jnp.asarray(SCENE + scaled, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES, SEEN)
     own = np.asarray(found)[0, feature_names().index("mean neighbourhood detail")]
     assert own == pytest.approx(amplitude, rel=1e-3)
 
@@ -120,7 +124,9 @@ def test_degenerate_pictures_are_finite(mask):
     flat = jnp.full((2, 64, 64, 3), 90.0)
     chosen = jnp.full((2, 64, 64), mask)
     maps = tuple(normalised_regressors(flat, chosen, c) for c in range(3))
-    assert np.isfinite(np.asarray(features(flat, flat, chosen, maps, frames_of(["a", "b"])))).all()
+    assert np.isfinite(
+        np.asarray(features(flat, flat, chosen, maps, frames_of(["a", "b"]), unknown_codes((64, 64))))
+    ).all()
 
 
 def test_frames_of_one_scene_give_the_noise_without_what_they_share():
@@ -133,7 +139,7 @@ def test_frames_of_one_scene_give_the_noise_without_what_they_share():
         dict(
             zip(
                 feature_names(),
-                np.asarray(features(twice + jnp.asarray(e), twice, MASK, maps, frames)).mean(0),
+                np.asarray(features(twice + jnp.asarray(e), twice, MASK, maps, frames, SEEN)).mean(0),
             )
         )
         for e in (white(0), white(0) + shared)

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.stages.resampling import Resampling, _there_and_back, resampling, resize
+from jaxisp.stages.resampling import (
+    Resampling,
+    Rescaling,
+    _there_and_back,
+    _Way,
+    resampling,
+    rescaling,
+    resize,
+)
 from tests.conftest import smooth_image
 
 FILTERS = {
@@ -67,6 +75,29 @@ def test_resampling_is_pillow_there_and_back(method):
         np.testing.assert_allclose(run(jnp.float32(factor), IMAGE), want, atol=1e-6)
 
 
+@pytest.mark.parametrize("factor", [2.0, 1.6, 4.0])
+def test_resampling_that_is_not_antialiased_is_opencvs(factor):
+    cv2 = pytest.importorskip("cv2")
+    small = cv2.resize(IMAGE, (round(40 / factor), round(24 / factor)), interpolation=cv2.INTER_LINEAR)
+    want = cv2.resize(small, (40, 24), interpolation=cv2.INTER_LINEAR)
+    got = resampling(Resampling(factor=np.float32(factor)), IMAGE, antialias=False)
+    np.testing.assert_allclose(got, want, atol=1e-6)
+
+
+def test_rescaling_mixes_ways():
+    factor, shares = np.float32(1.6), np.float32([0.25, 0, 0.5])
+    ways = [
+        {},
+        {"back": "bicubic", "antialias": False},
+        {"method": "bicubic", "back": "bilinear", "antialias": False},
+    ]
+    first, second, last = (np.asarray(resampling(Resampling(factor=factor), IMAGE, **way)) for way in ways)
+    want = first + 0.25 * (second - first) + 0.5 * (last - first)
+    np.testing.assert_allclose(rescaling(Rescaling(factor=factor, shares=shares), IMAGE), want, atol=1e-6)
+    off = Rescaling(factor=np.float32(1), shares=np.zeros(3, np.float32))
+    np.testing.assert_array_equal(rescaling(off, IMAGE), IMAGE)
+
+
 @pytest.mark.parametrize("method", ["bilinear", "bicubic"])
 def test_resampling_of_a_large_image_is_banded_and_the_same(method):
     """In blocks, beside Pillow and beside the full matrices, and so are the gradients."""
@@ -74,24 +105,24 @@ def test_resampling_of_a_large_image_is_banded_and_the_same(method):
     weights = np.random.default_rng(0).standard_normal(image.shape).astype(np.float32)
 
     def whole(factor, x):
-        rows, columns = (_there_and_back(n, factor, method) for n in x.shape[:2])
+        rows, columns = (_there_and_back(n, factor, _Way(method, method, True)) for n in x.shape[:2])
         return jnp.einsum("ab,bcd,ec->aed", rows, x, columns, precision="highest")
 
     def blocks(factor, x):
         return resampling(Resampling(factor=factor), x, method=method)
 
     calls = [
-        jax.jit(jax.value_and_grad(lambda f, x, c=c: jnp.sum(weights * c(f, x)), argnums=1))
+        jax.jit(jax.grad(lambda f, x, c=c: jnp.sum(weights * c(f, x)), argnums=(0, 1)))
         for c in (blocks, whole)
     ]
     for factor in (1.0, 1.37, 2.0, 4.0):
         got, want = (call(jnp.float32(factor), image) for call in calls)
         np.testing.assert_allclose(got[1], want[1], atol=2e-6)
-    slopes = [jax.jit(jax.grad(lambda f, c=c: jnp.mean(weights * c(f, image)))) for c in (blocks, whole)]
-    np.testing.assert_allclose(*(slope(jnp.float32(1.9)) for slope in slopes), rtol=1e-3)
+    got, want = (call(jnp.float32(1.9), image) for call in calls)
+    np.testing.assert_allclose(got[0], want[0], rtol=1e-3)
     even = image[:, :300]
     want = pillow(pillow(even, (120, 150), method), even.shape[:2], method)
-    np.testing.assert_allclose(blocks(jnp.float32(2.0), even), want, atol=2e-6)
+    np.testing.assert_allclose(jax.jit(blocks)(jnp.float32(2.0), even), want, atol=2e-6)
 
 
 def test_resampling_keeps_constants_at_any_factor_and_size():

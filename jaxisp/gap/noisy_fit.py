@@ -1,0 +1,49 @@
+"""Clean+noisy pairs: the noise of the base, fitted to the statistics, and its mean beside it."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxisp.gap.model import Model
+from jaxisp.gap.noisy_base import NOISE, balances, noise_freedom
+from jaxisp.gap.noisy_units import noise_only
+from jaxisp.gap.solve import fit
+
+
+def fit_noise(problem: Any, fit_on: Sequence[int]) -> None:
+    """The noise that explains the statistics best, then all that is free in the base. Leaves the problem at
+    z = 0 of the model that is found, in its final units."""
+    noise, every = list(range(len(NOISE))), np.ones_like(noise_only())
+    problem.count(noise_only())
+    _settle(problem, noise, fit_on, steps=5)
+    problem.count(every)
+    problem.set_unit()
+    _settle(problem, problem.model.base_indices, fit_on, steps=3, keep=True)
+    problem.set_unit(emphasise=True)
+    problem.count(noise_only())
+    _settle(problem, noise, fit_on, steps=3)
+    problem.count(every)
+
+
+def _settle(problem: Any, which: list[int], fit_on: Sequence[int], steps: int, keep: bool = False) -> None:
+    """Fit, and make where that ends the model's z = 0; `keep` works with the columns of the start."""
+    part, seen = problem.take(fit_on), range(len(fit_on))
+    part.columns = {}
+    part.compute(which)
+    fit(part, which, seen, steps=steps, fresh=[] if keep else None)
+    problem.model = rebased(problem.model, part.z)
+    problem.move_to(np.zeros(len(problem.z)))
+
+
+def rebased(model: Model, z: np.ndarray) -> Model:
+    """The model with the base's z put into its parameters, the bounds of its noise moved along; where white
+    is balanced first, its gains are those that the noise shows."""
+    moved = model.moved(z)
+    if np.allclose(moved.shared["later_balance"].gains, 1):
+        noise = moved.shared["balanced_noise"]
+        gains = [float(np.clip(g, 0.5, 4)) for g in (noise.red_gain, noise.blue_gain)]
+        moved = dataclasses.replace(moved, shared=moved.shared | balances((gains[0], gains[1]), late=False))
+    base = (*noise_freedom(moved.shared), *model.base[len(NOISE) :])
+    return dataclasses.replace(moved, base=base)

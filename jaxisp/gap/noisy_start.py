@@ -1,0 +1,62 @@
+"""Where the fit of a noise that the base lacks begins: what the base imitated is taken back."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxisp.gap.effects import EFFECTS
+from jaxisp.gap.model import Model
+
+_VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
+             "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip
+"""What the square of an effect's strength adds to the variance in the dark."""
+_TIMES = (0.2, 0.4, 0.8, 1.6, 3.2)
+_NODE = "balanced_noise"
+
+
+def noise_indices(model: Model) -> list[int]:
+    """The coordinates of the base's own noise."""
+    return [i for i, c in enumerate(model.base) if c.node == _NODE]
+
+
+def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
+    """The point with coordinate i at a value, the base's read noise less by the variance that this adds."""
+    moved = z.copy()
+    moved[i] = value
+    share = _VARIANCE.get(model.coordinates[i].node, 0.0)
+    read = _index(model, "read")
+    if share and read is not None:
+        start = float(model.shared[_NODE].read)
+        least = start + model.ranges[0, read]
+        square = (start + z[read]) ** 2 + share * (z[i] ** 2 - value**2)
+        moved[read] = np.clip(np.sqrt(max(square, least**2)), least, None) - start
+    return moved
+
+
+def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
+    """Several strengths of a noise, with more or less of the base's own noise taken back; none for what is no
+    noise."""
+    coordinates = [model.coordinates[i] for i in own]
+    if not own or coordinates[0].node not in EFFECTS or not EFFECTS[coordinates[0].node].random:
+        return []
+    first, found = own[0], [z]
+    for times in _TIMES:
+        value = float(np.clip(z[first] + times * coordinates[0].move.step, *model.ranges[:, first]))
+        point = placed(model, z, first, value)
+        found += [point, *(_with_less(model, point, share) for share in (0.75, 0.5))]
+    return found
+
+
+def _with_less(model: Model, z: np.ndarray, share: float) -> np.ndarray:
+    """The point with both noises of the base at a share of their variance."""
+    moved = z.copy()
+    for field, of in (("shot", share), ("read", np.sqrt(share))):
+        i = _index(model, field)
+        if i is not None:
+            start = float(getattr(model.shared[_NODE], field))
+            moved[i] = np.clip(of * (start + z[i]) - start, *model.ranges[:, i])
+    return moved
+
+
+def _index(model: Model, field: str) -> int | None:
+    return next((i for i in noise_indices(model) if model.base[i].move.field == field), None)

@@ -1,0 +1,172 @@
+"""One effect fitted together with the base, and what it closes on pairs that were not fitted."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxisp.gap.measured import Measured, Split
+from jaxisp.gap.model import Choice
+from jaxisp.gap.solve import fit
+
+SMALLEST = 0.05
+"""The lower end of an accepted effect's interval of closure."""
+_DRAWS = 400
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """An effect refitted with the base: where it ended, and the share of the gap it closes there.
+
+    `choice` is what the base became with it, None where it stayed as it was; `params` are the effect's own
+    where `z` has none for it.
+    """
+
+    effect: str
+    z: np.ndarray
+    before: float
+    after: float
+    closed: float
+    low: float
+    high: float
+    least: float
+    choice: Choice | None = None
+    params: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def accepted(self) -> bool:
+        return self.low > max(SMALLEST, self.least)
+
+
+def switched_on(problem: Measured) -> list[int]:
+    """Coordinates of effects that were accepted already and stay free."""
+    first = len(problem.model.base)
+    return [i for i in range(first, len(problem.z)) if problem.z[i] != 0]
+
+
+def refit(problem: Measured, effect: str, split: Split, scale: float, least: float, steps: int = 4) -> Trial:
+    """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
+
+    The problem stays where it is.
+
+    Args:
+        scale: the whole gap, before any effect less the floor, that closure is a share of.
+        least: the share that the lower end of its interval must be above, beside `SMALLEST`.
+    """
+    own = problem.model.indices([effect])
+    moving = [*problem.model.base_indices, *switched_on(problem), *own]
+    part, seen = problem.take(split.fit), range(len(split.fit))
+    _fit_with(part, moving, own, seen, steps)
+    choice = _choose_again(part, seen)
+    if choice is not None:
+        fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
+    held = problem.take(split.held_out)
+    before = held.units(problem.z)
+    harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
+    if choice is not None:
+        held.choose(problem.choices[choice].take(split.held_out))
+    after = held.units(part.z)
+    drop = harmless - after
+    lost = float(np.nanmean(drop))
+    low, high = interval(drop, scale)
+    chosen = None if choice is None else problem.choices[choice]
+    start = float(np.nanmean(before))
+    return Trial(effect, part.z, start, start - lost, lost / scale, low, high, least, chosen)
+
+
+def _harmless(
+    problem: Measured, own: Sequence[int], moving: Sequence[int], split: Split, held: Measured
+) -> np.ndarray:
+    """The held-out units where an effect does what the file does anyway, the base fitted beside it."""
+    part = problem.take(split.fit)
+    z = problem.z.copy()
+    for i in set(own) & set(problem.references):
+        z[i] = problem.references[i]
+    part.move_to(z)
+    fit(part, [i for i in moving if i not in set(own)], range(len(split.fit)), steps=3)
+    return held.units(part.z)
+
+
+def _fit_with(
+    part: Measured, moving: Sequence[int], own: Sequence[int], seen: Sequence[int], steps: int
+) -> None:
+    """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
+    searched = [i for i in own if part.model.coordinates[i].move.grid]
+    columns = part.columns
+    for i in searched:
+        part.move_to(part.placed(part.z, i, part.z[i] + lowest(part, i, seen)))
+    starts = part.starts([i for i in own if i not in searched])
+    if starts:
+        part.move_to(min(starts, key=lambda z: part.errors(z)[list(seen)].mean()))
+    smooth = [i for i in moving if i not in searched]
+    fresh = [i for i in smooth if i in own or i in part.fresh]
+    left = fresh if starts or searched else []  # their columns are another point's
+    part.columns = {i: column for i, column in columns.items() if i not in left}
+    fit(part, smooth, seen, steps=steps, fresh=fresh)
+    for i in searched:
+        for share in (0.5, 0.25):
+            part.move_to(_nearby(part, i, share, seen))
+        if part.model.coordinates[i].move.fine:
+            part.move_to(_finely(part, i, seen))
+            part.columns = columns
+            fit(part, smooth, seen, steps=2, fresh=fresh)
+
+
+def searched(problem: Measured, names: Sequence[str]) -> list[int]:
+    return [i for i in problem.model.indices(names) if problem.model.coordinates[i].move.grid]
+
+
+def lowest(problem: Measured, i: int, seen: Sequence[int]) -> float:
+    """Which change of the grid leaves the least error."""
+    seen, grid = list(seen), problem.model.coordinates[i].move.grid
+    return min(grid, key=lambda v: problem.errors(problem.placed(problem.z, i, v))[seen].mean())
+
+
+def _nearby(problem: Measured, i: int, share: float, seen: Sequence[int]) -> np.ndarray:
+    """The best of the point itself and those a share of the grid's spacing to both sides."""
+    grid = np.array(problem.model.coordinates[i].move.grid)
+    spacing = np.sort(np.abs(grid - problem.z[i]))[1] * share
+    tried = [np.clip(problem.z[i] + d, *problem.model.ranges[:, i]) for d in (0, -spacing, spacing)]
+    points = [problem.placed(problem.z, i, v) for v in tried]
+    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
+
+
+def _finely(problem: Measured, i: int, seen: Sequence[int]) -> np.ndarray:
+    """The best point as near as the search has come so far, in the steps that the move asks for."""
+    move, z = problem.model.coordinates[i].move, problem.z[i]
+    reach = np.sort(np.abs(np.array(move.grid) - z))[1] / 4
+    tried = np.clip(z + np.arange(-reach, reach, move.fine), *problem.model.ranges[:, i])
+    points = [problem.z, *(problem.placed(problem.z, i, v) for v in tried)]
+    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
+
+
+_CLEARLY = 0.98
+
+
+def _choose_again(problem: Measured, seen: Sequence[int]) -> int | None:
+    """Put the choice that fits best beside the effect into the problem, where it is another; says which.
+
+    Without its effect a camera is explained best by the demosaicker whose flaws look most like the effect.
+    """
+    seen, model = list(seen), problem.model
+    lowest, best_choice = problem.errors(problem.z)[seen].mean() * _CLEARLY, None
+    for k, choice in enumerate(problem.choices):
+        problem.model = model.chosen(choice)
+        error = problem.errors(problem.z)[seen].mean()
+        if error < lowest:
+            lowest, best_choice = error, k
+    problem.model = model
+    if best_choice is not None:
+        problem.choose(problem.choices[best_choice])
+    return best_choice
+
+
+def interval(drop: np.ndarray, scale: float, seed: int = 0) -> tuple[float, float]:
+    """90 % interval of the mean of (N, U) drops over `scale`, by a bootstrap of pairs and their units."""
+    rng = np.random.default_rng(seed)
+    n, u = drop.shape
+    pairs = rng.integers(n, size=(_DRAWS, n))
+    units = rng.integers(u, size=(_DRAWS, n, u))
+    means = np.nanmean(drop[pairs[..., None], units], (1, 2)) / scale
+    low, high = np.percentile(means, (5, 95))
+    return float(low), float(high)

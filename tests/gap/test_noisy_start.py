@@ -1,0 +1,60 @@
+"""Where the fit of a noise begins, and how what the fitted pairs show decides what counts."""
+
+import numpy as np
+import pytest
+
+from jaxisp.gap.noisy_base import Camera
+from jaxisp.gap.noisy_start import noise_indices, placed, starts
+from jaxisp.gap.noisy_units import emphasised, group_of, weights
+from jaxisp.gap.prepare import candidates
+from jaxisp.gap.statistics import feature_names
+
+READ, SHOT = 0.004, 4e-4  # the defaults of the stage
+
+
+@pytest.fixture(scope="module")
+def model():
+    camera = Camera(None)
+    return camera.whole_model(camera.mean_model({}), candidates("clean+noisy"))
+
+
+def test_what_is_added_is_taken_from_read_noise(model):
+    z = np.zeros(len(model.coordinates))
+    row, read = model.indices(["row_noise"])[0], noise_indices(model)[1]
+    moved = placed(model, z, row, 0.002)
+    assert moved[row] == 0.002 and (READ + moved[read]) ** 2 + 0.002**2 == pytest.approx(READ**2, rel=1e-4)
+    back = placed(model, moved, row, 0.0)
+    np.testing.assert_allclose(back, z, atol=1e-7)
+    assert READ + placed(model, z, row, 0.05)[read] > 0  # never below what its range allows
+    blur = model.indices(["optical_blur"])[0]
+    assert np.flatnonzero(placed(model, z, blur, 0.5)).tolist() == [blur]
+
+
+def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
+    z = np.zeros(len(model.coordinates))
+    own = model.indices(["film_grain"])
+    found = starts(model, z, own)
+    strengths = {round(float(p[own[0]]), 6) for p in found}
+    assert len(strengths) > 4 and min(strengths) == 0
+    shot = noise_indices(model)[0]
+    assert {round(float((SHOT + p[shot]) / SHOT), 2) for p in found} == {1.0, 0.75, 0.5}
+    assert starts(model, z, model.indices(["optical_blur"])) == [] == starts(model, z, [])
+    moved = [*own, *noise_indices(model)]
+    for p in found:
+        assert (p[moved] >= model.ranges[0, moved] - 1e-9).all()
+        assert (p[moved] <= model.ranges[1, moved] + 1e-9).all()
+
+
+def test_what_has_more_of_the_gap_counts_more():
+    names = feature_names()
+    squares = np.full(len(names), 0.5)
+    np.testing.assert_allclose(emphasised(squares), weights())
+    k = names.index("corr row Y")
+    squares[k] = 20
+    found = emphasised(squares)
+    assert found.mean() == pytest.approx(1) and found[k] / weights()[k] > 15 * (found[0] / weights()[0])
+
+
+def test_groups_are_axes_and_kinds():
+    assert group_of("mean radius Y gain") != group_of("logvar radius Y")
+    assert group_of("logvar intensity Y0") != group_of("code intensity dark00") == "code intensity"
