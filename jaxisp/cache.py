@@ -7,6 +7,7 @@ a program of your own calls `keep_compiled()` before it computes, or sets JAX_CO
 import hashlib
 import os
 import platform
+import warnings
 from pathlib import Path
 
 SWITCH = "JAXISP_CACHE"
@@ -20,10 +21,14 @@ def cache_folder() -> Path | None:
     chosen = os.environ.get(SWITCH, "")
     if chosen.lower() in ("off", "0", "no", "false"):
         return None
+    return (Path(chosen) if chosen else user_cache()) / f"programs-{_processor()}"
+
+
+def user_cache() -> Path:
+    """The user's folder for what can be made or fetched again."""
     home = os.environ.get("XDG_CACHE_HOME", "")
     # the standard has a relative path ignored
-    base = Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()
-    return (Path(chosen) if chosen else base / "jaxisp") / f"programs-{_processor()}"
+    return (Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()) / "jaxisp"
 
 
 def keep_compiled(folder: str | Path | None = None) -> Path | None:
@@ -44,6 +49,8 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     found = cache_folder() if folder is None else Path(folder)
     if found is None or not _writable(found):
         return None
+    # a process that was killed while it wrote one leaves it cut short: it is compiled again
+    warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry", UserWarning)
     jax.config.update("jax_compilation_cache_dir", str(found))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
     return found

@@ -19,7 +19,7 @@ from jaxisp.gap import diagnose
 from jaxisp.generate import degrade_files
 from jaxisp.io import open_dataset, orient, output_folder, write_png
 from jaxisp.metrics import psnr
-from jaxisp.pipeline import Chain
+from jaxisp.pipeline import Chain, run
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import CFA, RECIPES
 from jaxisp.report import Page
@@ -105,7 +105,7 @@ def _add_stages(page: Page, picture: np.ndarray, recipe: Recipe, seed: int) -> N
     params, image = recipe.draw(key), jnp.asarray(_crop(picture))
     shown, linear = [("clean", _crop(picture))], False
     for node in recipe.chain.nodes:
-        image = Chain((node,), node.name)(params, image, key=key)
+        image = run(Chain((node,), node.name), params, image, key)
         if not node.domain_out.keeps:
             linear = node.domain_out not in (ENCODED,)
         shown.append((_caption(node.name, params), _for_screen(image, linear)))

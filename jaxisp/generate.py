@@ -14,8 +14,9 @@ import numpy as np
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, find_images, locked
+from jaxisp.io.files import find_images, write_text
 from jaxisp.io.images import read_image, write_png
+from jaxisp.io.locks import locked
 from jaxisp.recipe import Recipe
 
 BATCH_PIXELS = 2_000_000
@@ -220,10 +221,8 @@ def degrade_files(
             outcome.images += 1
             tick(outcome.images + outcome.kept, len(work))
         if outcome.images or outcome.kept:
-            with atomic_write(out / "dataset.toml") as file:
-                file.write(
-                    tomli_w.dumps({"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}).encode()
-                )
+            about = {"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}
+            write_text(out / "dataset.toml", tomli_w.dumps(about))
     outcome.seconds = time.perf_counter() - clock
     return outcome
 

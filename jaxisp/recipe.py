@@ -11,7 +11,7 @@ import tomli_w
 from jax.typing import ArrayLike
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, parse_toml
+from jaxisp.io.files import parse_toml, write_text
 from jaxisp.pipeline import over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.selfcheck import check_backend
@@ -120,8 +120,7 @@ class Recipe:
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
-        with atomic_write(path) as file:
-            file.write(self.to_toml().encode())
+        write_text(path, self.to_toml())
 
     @classmethod
     def load(cls, path: str | Path) -> "Recipe":

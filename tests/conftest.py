@@ -1,9 +1,17 @@
 """Shared test images and settings. Devices are forced to 8 so that sharding is tested on any machine."""
 
 import os
+import tempfile
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # what one worker or one command compiles, the others load; xdist's workers inherit it
+    PROGRAMS = tempfile.TemporaryDirectory(prefix="jaxisp-tests-", ignore_cleanup_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.cache` has it
 
 import jax
 import numpy as np

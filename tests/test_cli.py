@@ -13,6 +13,7 @@ from jaxisp.cli import main
 from jaxisp.io import open_dataset
 from jaxisp.recipes import RECIPES
 from tests.conftest import smooth_image
+from tests.mounts import mounted
 
 
 @pytest.fixture
@@ -49,15 +50,15 @@ def test_recipes(capsys):
 
 
 def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photographs, tmp_path):
-    out = tmp_path / "out"
+    out, two = tmp_path / "out", [photographs / "p0.png", photographs / "p1.png"]
     status, text, _ = run(
-        capsys, "degrade", photographs, "-o", out, "--recipe", "phone", "--count", 2, "--seed", 3, "--json"
+        capsys, "degrade", *two, "-o", out, "--recipe", "phone", "--count", 2, "--seed", 3, "--json"
     )
     result = json.loads(text)
-    assert status == 0 and result["images"] == 6 and result["failed"] == []
+    assert status == 0 and result["images"] == 4 and result["failed"] == []
     assert {"images", "images_per_second", "seconds"} <= set(result)
     dataset = open_dataset(out)
-    assert dataset.kind == "clean+noisy" and len(dataset.pairs) == 6 and not dataset.problems
+    assert dataset.kind == "clean+noisy" and len(dataset.pairs) == 4 and not dataset.problems
     again = tmp_path / "again"
     status, _, _ = run(
         capsys, "degrade", photographs / "p1.png", "-o", again, "--recipe", out / "p1_001.toml",
@@ -132,6 +133,31 @@ def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):
     status, _, err = run(capsys, "degrade", photographs, "-o", tmp_path / "o", "--recipe", "awgn")
     assert status == 2 and "no space left" in err and err.count("\n") == 1
     assert not list((tmp_path / "o").glob("*"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("degrade", "PHOTOS", "-o", "RO/degraded", "--recipe", "awgn"),
+        ("degrade", "PHOTOS", "-o", "RO/shards", "--recipe", "awgn", "--shards", "2"),
+        ("train", "--clean", "PHOTOS", "--recipe", "awgn", "-o", "RO/run"),
+        ("fit", "PHOTOS", "-o", "RO/camera.toml"),
+        ("fit", "PHOTOS", "-o", "OUT/camera.toml", "--recipe", "RO/prior.toml"),
+        ("fit", "PHOTOS", "-o", "OUT/camera.toml", "--report", "RO/report"),
+        ("diagnose", "PHOTOS", "-o", "RO/diagnosis"),
+        ("demo", "--out", "RO/demo"),
+    ],
+)
+def test_a_read_only_folder_is_one_line_before_any_work(capsys, photographs, tmp_path, arguments):
+    (tmp_path / "real").mkdir()
+    with mounted(tmp_path / "Δ read only", "--bind", "-o", "ro", str(tmp_path / "real")) as folder:
+        places = {"PHOTOS": photographs, "RO": folder, "OUT": tmp_path / "out"}
+        heads = [a.partition("/") for a in arguments]
+        status, out, err = run(
+            capsys, *(f"{places.get(head, head)}{dash}{tail}" for head, dash, tail in heads)
+        )
+    assert status == 2 and not out
+    assert err.count("\n") == 1 and "cannot be written: read-only file system" in err and "Δ read only" in err
 
 
 def test_it_runs_as_a_module():

@@ -1,7 +1,10 @@
 """The documentation: it builds without a warning, and names everything that is public."""
 
+import ast
+import functools
 import importlib
 import inspect
+import itertools
 import re
 import subprocess
 import sys
@@ -38,6 +41,20 @@ def public_names(module: str) -> list[str]:
     ]
 
 
+@functools.cache
+def described_constants() -> set[str]:
+    """Names of the package that are assigned at a module's top with a string below: their description."""
+    found = set()
+    for path in (ROOT / "jaxisp").rglob("*.py"):
+        body = ast.parse(path.read_text()).body
+        for node, below in itertools.pairwise(body):
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            text = getattr(getattr(below, "value", None), "value", None)
+            if isinstance(target, ast.Name) and isinstance(text, str):
+                found.add(target.id)
+    return found
+
+
 @pytest.mark.parametrize("module", PUBLIC)
 def test_public_names_are_described(module):
     found = importlib.import_module(module)
@@ -49,6 +66,8 @@ def test_public_names_are_described(module):
             assert len(doc) > 15, f"{module}.{name} has no docstring"
             # a dataclass without one gets its signature instead
             assert not doc.startswith(f"{name}("), f"{module}.{name} has no docstring"
+        else:
+            assert name in described_constants(), f"{module}.{name} has no description below it"
 
 
 def test_every_public_module_is_listed():
@@ -100,6 +119,13 @@ def test_the_reference_is_whole(site):
                 assert re.search(rf'id="[\w.]*\.{name}"', text["api"]), (
                     f"{module}.{name} is not in the reference"
                 )
+
+
+@built
+def test_peers_are_those_of_the_benchmarks(site):
+    text = (site / "peers.html").read_text()
+    for name in ("OpenCV", "kornia", "SciPy", "colour-demosaicing"):
+        assert re.search(rf"<td><p>{name}</p></td>\s*<td><p>\d+</p></td>", text), name
 
 
 @built

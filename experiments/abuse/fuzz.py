@@ -13,10 +13,10 @@ import json
 import os
 import resource
 import select
+import signal
 import subprocess
 import sys
 import tempfile
-import time
 import traceback
 import warnings
 from pathlib import Path
@@ -98,37 +98,46 @@ class Worker:
         self.counts: collections.Counter[str] = collections.Counter()
         self.findings: dict[str, dict[str, Any]] = {}
         self.base, self.peak, self.seconds = 0, 0, 0.0
-        self.begin()
 
     def begin(self) -> None:
         command = [sys.executable, "-m", "experiments.abuse.fuzz", "--work", self.kind, str(self.next)]
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.errors)
-        self.buffer, self.warm, self.ended, self.spent, self.idle = b"", False, False, 1e9, 0
+        self.buffer, self.warm, self.ended = b"", False, False
+        self.clock, self.spent, self.idle = 0.0, 0.0, 0
 
     def run(self, seconds: float) -> None:
-        """Read inputs for some time, the start of the process apart."""
-        if self.process.poll() is not None:
-            self.begin()
-        end = None
-        clock = time.monotonic()
-        while end is None or time.monotonic() < end:
-            if not self._lines():
-                if self.ended or self._busy():
+        """Read inputs for some time of the processor, the start of the process apart."""
+        self.begin()
+        end = self.seconds + seconds
+        try:
+            while self.seconds < end:
+                if self._lines():
+                    self._clock()
+                elif self.ended or self._busy():
                     self._died()
-            elif end is None:
-                end = time.monotonic() + seconds
-        self.seconds += time.monotonic() - clock
-        self.process.kill()
-        self.process.wait()
+        finally:
+            self.process.kill()
+            self.process.wait()
+
+    def _clock(self) -> float:
+        """Seconds that the process has computed since its first input, which are added up."""
+        now = self._computed()
+        used = now - self.clock if self.warm and self.clock else 0.0
+        self.clock = now if self.warm else 0.0
+        self.seconds += used
+        return used
+
+    def _computed(self) -> float:
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
     def _busy(self) -> bool:
         """Whether it has computed all the while: a process that was stopped from outside does not hang."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        spent = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
-        used, self.spent = spent - self.spent, spent
+        used = self._clock()
+        self.spent += used
         self.idle = 0 if used > 0.01 else self.idle + 1
-        return self.warm and (used > SECONDS / 4 or self.idle > 60)
+        return self.warm and (self.spent > SECONDS or self.idle > 60)
 
     def _lines(self) -> bool:
         """Take in the lines that there are; False where none came for a while, or the process ended."""
@@ -140,7 +149,7 @@ class Worker:
         if not data:
             self.ended = True
             return False
-        self.buffer, self.spent, self.idle = self.buffer + data, 1e9, 0
+        self.buffer, self.spent, self.idle = self.buffer + data, 0.0, 0
         *lines, self.buffer = self.buffer.split(b"\n")
         for line in lines:
             self._note(*json.loads(line))
@@ -235,17 +244,21 @@ def again(kind: str, index: int, keep: Path | None) -> None:
 
 
 def campaign(arguments: argparse.Namespace) -> None:
-    """Each kind of reader for its share of the time; figures at the end."""
+    """Each kind of reader for its share of the time, in rounds; figures after each, or when stopped."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     kinds = [arguments.kind] if arguments.kind else list(SHARES)
     whole = sum(SHARES[kind] for kind in kinds)
-    result = {}
-    for kind in kinds:
-        worker = Worker(kind, arguments.start)
-        worker.run(60 * arguments.minutes * SHARES[kind] / whole)
-        result[kind] = worker.report()
-        print(kind, json.dumps(result[kind]), flush=True)
-        if arguments.out:
-            arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    rounds = max(1, round(arguments.minutes / 10))
+    workers = {kind: Worker(kind, arguments.start) for kind in kinds}
+    for _ in range(rounds):
+        for kind, worker in workers.items():
+            try:
+                worker.run(60 * arguments.minutes * SHARES[kind] / whole / rounds)
+            finally:
+                print(kind, json.dumps(worker.report()), flush=True)
+                if arguments.out:
+                    result = {kind: worker.report() for kind, worker in workers.items()}
+                    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,10 @@ import numpy as np
 
 
 class Job:
-    """A command, what it works on, and what of its output must be the same in every run."""
+    """A command, what it works on, and what of its output must be the same in every run.
+
+    The inputs are small, so that much of a run is spent on writing.
+    """
 
     def __init__(self, name: str, data: Path) -> None:
         self.name, self.data = name, data
@@ -39,7 +42,7 @@ class Job:
         from jaxisp.io import write_png
 
         for i in range(6):
-            shape = (72, 96, 3) if i % 2 else (80, 64, 3)
+            shape = (36, 48, 3) if i % 2 else (40, 32, 3)
             write_png(self.data / f"photo {i}.png", np.random.default_rng(i).uniform(size=shape))
 
     def command(self, out: Path) -> list[str]:
@@ -48,11 +51,11 @@ class Job:
             words = "--steps 4 --demosaic demosaic_bilinear --median none"
             return ["fit", str(self.data), "-o", str(out / "camera.toml"), *words.split()]
         if self.name == "train":
-            words = """--recipe awgn --model fast --steps 30 --batch 2 --patch 16 --downsample 1
-                --validation 2 --checkpoint-every 5 --log-every 2 --cpu-devices 1 --resume"""
+            words = """--recipe awgn --model fast --steps 12 --batch 2 --patch 16 --downsample 1
+                --validation 2 --checkpoint-every 2 --log-every 1 --cpu-devices 1 --resume"""
             return ["train", "--clean", str(self.data), "-o", str(out), *words.split()]
         words = "--shards 5" if self.name == "shards" else "--resume"
-        return ["degrade", str(self.data), "-o", str(out), *f"--recipe phone --count 4 {words}".split()]
+        return ["degrade", str(self.data), "-o", str(out), *f"--recipe awgn --count 10 {words}".split()]
 
     def results(self, out: Path) -> dict[str, str]:
         """Digests of the output, times and dates left out."""

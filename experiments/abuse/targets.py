@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, read_jpeg, read_raw
+from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.opcodes import GainMap, parse_opcodes, shading_gain
-from jaxisp.io.raw import RawDescription, embedded_jpeg
+from jaxisp.io.raw import RawDescription
 from jaxisp.io.settings import SettingsFile
 from jaxisp.recipe import Recipe
 from jaxisp.train import TrainConfig

@@ -3,7 +3,8 @@
 from jaxisp.data.catalogue import SETS, PublicSet, fetch
 from jaxisp.data.clean import CleanImages, downsample_linear, load_clean
 from jaxisp.data.loader import Batches, batches
-from jaxisp.data.shards import ShardSource, degrade_shards
+from jaxisp.data.shard_source import ShardSource
+from jaxisp.data.shards import degrade_shards
 from jaxisp.data.sources import CleanPatches, DegradedBatches, degrade_key, patches
 
 __all__ = [

@@ -16,8 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxisp.cache import user_cache
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, locked, output_folder, reason
+from jaxisp.io.files import output_folder, reason, write_text
+from jaxisp.io.locks import locked
 
 SWITCH = "JAXISP_DATA"
 """Environment variable: the folder that holds the sets, one folder each, in place of the user's cache."""
@@ -121,16 +123,13 @@ SETS = {
         ),
     )
 }  # fmt: skip
+"""Public sets by name, as `jaxisp data list` shows them: what each is for, its licence, and what to fetch."""
 
 
 def data_folder() -> Path:
     """Where the sets are on this machine."""
     chosen = os.environ.get(SWITCH)
-    if chosen:
-        return Path(chosen).expanduser()
-    home = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()
-    return base / "jaxisp" / "data"
+    return Path(chosen).expanduser() if chosen else user_cache() / "data"
 
 
 def is_fetched(name: str) -> bool:
@@ -234,5 +233,4 @@ def _sums(root: Path) -> dict[str, str]:
 
 
 def _note(path: Path, table: dict[str, Any]) -> None:
-    with atomic_write(path) as file:
-        file.write((json.dumps(table, indent=1) + "\n").encode())
+    write_text(path, json.dumps(table, indent=1) + "\n")

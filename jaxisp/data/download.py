@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, one_line
 
 _CHUNK = 1 << 16  # what has come of one is lost where the connection breaks
 _TIMEOUT = (10, 60)  # to connect, between bytes [s]
@@ -54,7 +54,7 @@ class _Resuming:
                 self._forget()
                 self._get(requests, url)
         except requests.RequestException as error:
-            raise ConnectionError(_short(error)) from error
+            raise ConnectionError(one_line(error, 160)) from error
         shutil.move(self.part, output_file)
         self._forget()
 
@@ -112,8 +112,3 @@ def _pooch() -> Any:
     except ImportError as error:
         raise InputError("downloads need pooch: pip install 'jaxisp[data]'") from error
     return pooch
-
-
-def _short(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) < 160 else text[:160] + "..."

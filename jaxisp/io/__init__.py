@@ -3,9 +3,10 @@
 from jaxisp.io.datasets import Dataset, Loaded, Pair, open_dataset
 from jaxisp.io.description import RawDescription
 from jaxisp.io.dng import write_dng
-from jaxisp.io.files import atomic_write, find_images, locked, output_folder, read_toml
+from jaxisp.io.files import atomic_write, find_images, output_folder, read_toml
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.jpeg import Jpeg, read_jpeg, write_jpeg
+from jaxisp.io.locks import locked
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear
 from jaxisp.io.orientation import orient, unorient
 from jaxisp.io.raw import Raw, read_raw

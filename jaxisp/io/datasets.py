@@ -11,8 +11,9 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, list_folder
 from jaxisp.io.images import read_image
 from jaxisp.io.jpeg import Jpeg, decode_jpeg, read_jpeg
+from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.orientation import orient, unorient
-from jaxisp.io.raw import RAW_SUFFIXES, Raw, embedded_jpeg, read_raw
+from jaxisp.io.raw import RAW_SUFFIXES, Raw, read_raw
 from jaxisp.io.settings import Settings, SettingsFile
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"

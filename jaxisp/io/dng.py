@@ -10,7 +10,7 @@ import tifffile
 from jaxisp.cfa import check_cfa
 from jaxisp.io import tags
 from jaxisp.io.files import PathLike, atomic_write
-from jaxisp.io.jpeg import frame_header
+from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.opcodes import GainMap, Opcode, pack_opcodes, parse_opcodes
 
 __all__ = ["GainMap", "Opcode", "Tag", "pack_opcodes", "parse_opcodes", "write_dng"]

@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, one_line
 
 MOST_PIXELS = 1 << 28
 """Of a picture; phones make 200 million."""
@@ -111,7 +111,7 @@ def load_npy(path: PathLike) -> np.ndarray:
             warnings.simplefilter("ignore")  # NumPy's note on headers of Python 2
             return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
     except Exception as error:  # its header is parsed as Python, which fails in many ways
-        raise InputError(f"{path}: is a damaged or truncated NumPy file ({_one_line(error)})") from error
+        raise InputError(f"{path}: is a damaged or truncated NumPy file ({one_line(error)})") from error
 
 
 def check_pixels(width: int, height: int, size: int, name: str, *, bytes_each: int = 3) -> None:
@@ -164,6 +164,12 @@ def atomic_write(path: PathLike) -> Iterator[IO[bytes]]:
         raise
 
 
+def write_text(path: PathLike, text: str) -> None:
+    """A whole file of UTF-8 text; see `atomic_write`."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
 def _temporary(path: Path) -> tuple[Path, IO[bytes]]:
     """`.NAME.tmp`, empty and locked; where it is another's, or cannot be locked, a name of its own."""
     usual = path.with_name(f".{path.name}.tmp")
@@ -187,47 +193,6 @@ def _remove(path: Path | None) -> None:
     if path is not None:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def locked(folder: PathLike, *, name: str = ".lock", shared: bool = False) -> Iterator[None]:
-    """Make a folder and keep others out of it; the system frees the lock when the process dies.
-
-    Args:
-        folder: made where it is missing.
-        name: of the lock file in it.
-        shared: with others that share it, not with one that wants it alone.
-
-    Raises:
-        InputError: another process holds it, or the folder cannot be written.
-    """
-    path = output_folder(folder) / name
-    with _lock_file(path, fcntl.LOCK_SH if shared else fcntl.LOCK_EX):
-        try:
-            yield
-        finally:
-            if not shared:  # another that shares it may still hold this very file
-                _remove(path)
-
-
-def _lock_file(path: Path, kind: int) -> IO[bytes]:
-    """A file that is locked and still has its name: its holder before may have removed it meanwhile."""
-    while True:
-        try:
-            file = path.open("wb")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {reason(error)}") from error
-        try:
-            fcntl.flock(file, kind | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            file.close()
-            raise InputError(f"{path.parent}: another process is writing into this folder") from error
-        except OSError:  # a file system without locks: each file is still whole
-            return file
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                return file
-        file.close()
 
 
 def output_folder(path: PathLike) -> Path:
@@ -289,10 +254,6 @@ def is_image(path: PathLike) -> bool:
     """Whether the name is one of a picture (a `.raw.npy` is a mosaic)."""
     name = Path(path).name.lower()
     return name.endswith(IMAGE_SUFFIXES) and not name.endswith(".raw.npy")
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200]
 
 
 def _hidden(path: Path) -> bool:

@@ -12,17 +12,10 @@ from PIL import Image, ImageCms, UnidentifiedImageError
 
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
+from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.jpeg_tables import quality_tables
 
-_SUBSAMPLING = {
-    (1, 1): "4:4:4",
-    (2, 1): "4:2:2",
-    (2, 2): "4:2:0",
-    (1, 2): "4:4:0",
-    (4, 1): "4:1:1",
-    (4, 2): "4:1:0",
-}
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
                 0xCB: "lossless"}  # fmt: skip
 _ORIENTATION, _MAKE, _MODEL, _EXIF_IFD, _ISO = 274, 271, 272, 34665, 34855
@@ -70,58 +63,6 @@ class Jpeg:
         """The libjpeg quality, 1 to 100, whose tables are nearest to the file's."""
         tables = np.stack([self.luma_table, self.chroma_table])
         return 1 + int(np.argmin([np.abs(np.stack(quality_tables(q)) - tables).sum() for q in range(1, 101)]))
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A JPEG frame header (SOF)."""
-
-    marker: int
-    precision: int
-    height: int
-    width: int
-    sampling: tuple[tuple[int, int], ...]  # horizontal, vertical of each component
-    ids: tuple[int, ...]
-
-    @property
-    def subsampling(self) -> str:
-        (h, v), *chroma = self.sampling
-        if len(chroma) == 2 and chroma[0] == chroma[1] and not (h % chroma[0][0] or v % chroma[0][1]):
-            name = _SUBSAMPLING.get((h // chroma[0][0], v // chroma[0][1]))
-            if name:
-                return name
-        return ",".join(f"{x}x{y}" for x, y in self.sampling)
-
-
-def frame_header(data: bytes) -> Frame:
-    """The first frame header; ValueError where there is none."""
-    at = 2
-    while at + 4 <= len(data):
-        if data[at] != 0xFF:
-            raise ValueError("no marker where one should be")
-        marker = data[at + 1]
-        if marker == 0xFF:  # a fill byte
-            at += 1
-            continue
-        if marker in (0xD9, 0xDA):
-            break
-        (length,) = struct.unpack_from(">H", data, at + 2)
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return _parse_frame(marker, data[at + 4 : at + 2 + length])
-        at += 2 + length
-    raise ValueError("no frame header")
-
-
-def _parse_frame(marker: int, body: bytes) -> Frame:
-    if len(body) < 6 or len(body) < 6 + 3 * body[5] or not body[5]:
-        raise ValueError("a frame header that is cut short")
-    precision, height, width, count = struct.unpack_from(">BHHB", body)
-    factors = [(body[7 + 3 * i] >> 4, body[7 + 3 * i] & 15) for i in range(count)]
-    if any(not (h and v) for h, v in factors):
-        raise ValueError("sampling factors of zero")
-    return Frame(
-        marker, precision, height, width, tuple(factors), tuple(body[6 + 3 * i] for i in range(count))
-    )
 
 
 def read_jpeg(path: PathLike, *, to_srgb: bool = True) -> Jpeg:

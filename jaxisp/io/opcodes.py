@@ -117,7 +117,8 @@ def _weights(positions: np.ndarray, length: int, gain_map: GainMap, axis: int) -
     """(positions, grid points) weights of linear interpolation along one axis."""
     points = gain_map.gains.shape[axis]
     spacing = gain_map.spacing[axis]
-    place = ((positions + 0.5) / length - gain_map.origin[axis]) / (spacing if spacing > 0 else 1.0)
+    with np.errstate(over="ignore"):  # of a tiny spacing: far outside, which is the border
+        place = ((positions + 0.5) / length - gain_map.origin[axis]) / (spacing if spacing > 0 else 1.0)
     place = np.clip(place, 0, points - 1)
     return np.maximum(0, 1 - np.abs(place[:, None] - np.arange(points))).astype(np.float32)
 
@@ -132,10 +133,11 @@ def _parse_gain_map(body: bytes) -> GainMap:
         raise ValueError(
             f"GainMap of {points_v}x{points_h}x{map_planes} points, pitch {row_pitch}, {column_pitch}"
         )
-    gains = np.frombuffer(body, ">f4", count, _GAIN_MAP_HEAD.size).astype(np.float32)
-    _check_finite(np.concatenate([gains, head[10:14]]))
+    gains = np.frombuffer(body, ">f4", count, _GAIN_MAP_HEAD.size)
+    _check_finite(gains)
+    _check_finite(head[10:14])
     return GainMap(
-        gains.reshape(points_v, points_h, map_planes),
+        gains.astype(np.float32).reshape(points_v, points_h, map_planes),
         (top, left, bottom, right),
         (row_pitch, column_pitch),
         (head[12], head[13]),

@@ -1,18 +1,15 @@
 """RAW files: the mosaic, and all that the file states about the camera that made it."""
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import rawpy
 
-from jaxisp.cfa import PATTERNS, shifted
+from jaxisp.cfa import shifted
 from jaxisp.checks import check_finite
 from jaxisp.errors import InputError
-from jaxisp.io import tags as dng
+from jaxisp.io import dng_facts as dng
+from jaxisp.io import tags as tag
 from jaxisp.io.calibration import (
     Calibration,
     camera_to_srgb,
@@ -21,8 +18,8 @@ from jaxisp.io.calibration import (
     white_xy,
 )
 from jaxisp.io.description import RawDescription, describe
-from jaxisp.io.files import PathLike, check_file, check_pixels, load_npy, read_toml
-from jaxisp.io.jpeg import frame_header
+from jaxisp.io.files import PathLike, check_file, load_npy, read_toml
+from jaxisp.io.libraw import camera_crop, check_bayer, opened, white_gains
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain
 
 RAW_SUFFIXES = (
@@ -110,32 +107,13 @@ def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
     if is_npy:
         return _read_npy(path, description)
     _check_magic(path)
-    tags = dng.read_tags(path)
+    tags = tag.read_tags(path)
     if tags is None and path.suffix.lower() == ".dng":
         raise InputError(f"{path}: is not a DNG, or a damaged one (its TIFF tags cannot be read)")
     if tags is not None and (tags.is_dng or path.suffix.lower() == ".dng"):
         dng.check_dng(tags, path)
         return _read_dng(path, tags, description)
     return _read_other(path, tags, description)
-
-
-def embedded_jpeg(path: PathLike) -> bytes | None:
-    """The JPEG inside a RAW file, where it has one that is as large as the picture; else None."""
-    path = check_file(path)
-    with _opened(path) as raw:
-        try:
-            thumb = raw.extract_thumb()
-        except (rawpy.LibRawError, rawpy.NotSupportedError):
-            return None
-        size = sorted((raw.sizes.height, raw.sizes.width))
-    if thumb.format != rawpy.ThumbFormat.JPEG:
-        return None
-    try:
-        frame = frame_header(thumb.data)
-    except ValueError:
-        return None
-    full = all(abs(a - b) <= 16 + b // 50 for a, b in zip(sorted((frame.height, frame.width)), size))
-    return bytes(thumb.data) if full else None
 
 
 def _is_headerless(path: Path) -> bool:
@@ -161,86 +139,54 @@ def _check_magic(path: Path) -> None:
             raise InputError(f"{path}: is a {name} file, expected a RAW file")
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """rawpy on the file; what LibRaw raises becomes one line."""
-    try:
-        with rawpy.imread(str(path)) as raw:
-            yield raw
-    except (rawpy.LibRawError, rawpy.NotSupportedError, NotImplementedError, MemoryError) as error:
-        text = error.args[0] if error.args else type(error).__name__
-        text = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
-        raise InputError(f"{path}: LibRaw cannot read it: {text.lower()}") from error
-
-
-def _check_bayer(raw: Any, path: Path) -> str:
-    """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
-    sizes = raw.sizes
-    check_pixels(sizes.raw_width, sizes.raw_height, path.stat().st_size, str(path), bytes_each=2)
-    if raw.num_colors == 1:
-        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
-    if raw.raw_type != rawpy.RawType.Flat or raw.raw_image is None:
-        raise InputError(
-            f"{path}: holds full-colour pixels (linear, sRAW or Foveon), expected a Bayer mosaic"
-        )
-    pattern, names = raw.raw_pattern, raw.color_desc.decode()
-    if pattern is not None and pattern.shape == (6, 6):
-        raise InputError(f"{path}: is an X-Trans RAW, expected a Bayer mosaic")
-    if pattern is None or pattern.shape != (2, 2):
-        raise InputError(f"{path}: has no 2x2 colour filter array, expected a Bayer mosaic")
-    cfa = "".join(names[i] for i in pattern.ravel())
-    if cfa not in PATTERNS:
-        raise InputError(f"{path}: has colour filters {cfa}, expected one of {', '.join(PATTERNS)}")
-    return cfa
-
-
-def _read_dng(path: Path, tags: dng.DngTags, description: RawDescription) -> Raw:
+def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw:
     area = dng.active_area(tags, path)
     active = area[2] - area[0], area[3] - area[1]
     crop = dng.default_crop(tags, active, path)
-    with _opened(path) as raw:
-        _check_bayer(raw, path)
-        if raw.raw_image.shape != (tags.raw[dng.HEIGHT], tags.raw[dng.WIDTH]):
+    with opened(path) as raw:
+        check_bayer(raw, path)
+        if raw.raw_image.shape != (tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]):
             raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
         levels = _cut(raw.raw_image[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
-        as_shot = _gains(raw.camera_whitebalance)
+        as_shot = white_gains(raw.camera_whitebalance)
     calibration = tags.calibration()
     neutral = dng.neutral(tags, calibration, as_shot)
-    pattern = "".join("RGB"[i] for i in tags.raw[dng.CFA_PATTERN])
-    bits = tags.raw.get(dng.BITS, 16)
+    pattern = "".join("RGB"[i] for i in tags.raw[tag.CFA_PATTERN])
+    bits = tags.raw.get(tag.BITS, 16)
     raw_picture = Raw(
         path=path,
         mosaic=levels,
         cfa=shifted(pattern, crop[0], crop[1]),
         black=_cut(dng.black_levels(tags, active, path), crop),
-        white=tags.number(dng.WHITE) or 2.0**bits - 1,
+        white=tags.number(tag.WHITE) or 2.0**bits - 1,
         white_balance=1 / neutral,
         active_area=area,
         crop=crop,
         noise_profile=dng.noise_profile(tags),
-        baseline_exposure=tags.number(dng.BASELINE_EXPOSURE) or 0.0,
+        baseline_exposure=tags.number(tag.BASELINE_EXPOSURE) or 0.0,
         **dng.lens(tags, path),
         **dng.header(tags),
     )
     if calibration is not None:
-        try:
-            matrix, to_srgb = (
-                calibration.at(white_xy(calibration, neutral))[0],
-                camera_to_srgb(calibration, neutral),
-            )
-        except np.linalg.LinAlgError as error:
-            raise InputError(f"{path}: has colour matrices that cannot be inverted") from error
-        check_finite(f"{path}: its colour matrix", to_srgb)
-        raw_picture = replace(
-            raw_picture, calibration=calibration, xyz_to_camera=matrix, camera_to_srgb=to_srgb
-        )
+        raw_picture = _calibrated(raw_picture, calibration, neutral)
     return _finish(raw_picture, description)
 
 
-def _read_other(path: Path, tags: dng.DngTags | None, description: RawDescription) -> Raw:
-    with _opened(path) as raw:
-        cfa, sizes = _check_bayer(raw, path), raw.sizes
-        crop = _inset(sizes)
+def _calibrated(raw: Raw, calibration: Calibration, neutral: np.ndarray) -> Raw:
+    """With the colour matrices for the light of the shot."""
+    try:
+        matrix = calibration.at(white_xy(calibration, neutral))[0]
+        to_srgb = camera_to_srgb(calibration, neutral)
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"{raw.path}: has colour matrices that cannot be inverted") from error
+    check_finite(f"{raw.path}: its colour matrix", to_srgb)
+    return replace(raw, calibration=calibration, xyz_to_camera=matrix, camera_to_srgb=to_srgb)
+
+
+def _read_other(path: Path, tags: tag.DngTags | None, description: RawDescription) -> Raw:
+    with opened(path) as raw:
+        cfa, sizes = check_bayer(raw, path), raw.sizes
+        crop = camera_crop(sizes)
         levels = _cut(raw.raw_image_visible, crop).astype(np.float32)
         cell = np.roll(raw.raw_pattern, (-crop[0], -crop[1]), (0, 1))
         black = np.array(raw.black_level_per_channel, np.float32)[cell]
@@ -252,7 +198,7 @@ def _read_other(path: Path, tags: dng.DngTags | None, description: RawDescriptio
             cfa=shifted(cfa, crop[0], crop[1]),
             black=black,
             white=float(raw.white_level),
-            white_balance=_gains(raw.camera_whitebalance),
+            white_balance=white_gains(raw.camera_whitebalance),
             active_area=(
                 sizes.top_margin,
                 sizes.left_margin,
@@ -268,16 +214,6 @@ def _read_other(path: Path, tags: dng.DngTags | None, description: RawDescriptio
     if usable(matrix) and not _is_headerless(path):
         raw_picture = replace(raw_picture, xyz_to_camera=matrix, camera_to_srgb=camera_to_srgb_d65(matrix))
     return _finish(raw_picture, description)
-
-
-def _inset(sizes: Any) -> tuple[int, int, int, int]:
-    """Top, left, height, width in the visible area of the camera's own crop, where that is sound."""
-    top, left = sizes.crop_top_margin - sizes.top_margin, sizes.crop_left_margin - sizes.left_margin
-    height, width = sizes.crop_height, sizes.crop_width
-    inside = top >= 0 and left >= 0 and top + height <= sizes.height and left + width <= sizes.width
-    if inside and 2 * height > sizes.height and 2 * width > sizes.width:
-        return top, left, height, width
-    return 0, 0, sizes.height, sizes.width
 
 
 def _read_npy(path: Path, description: RawDescription) -> Raw:
@@ -334,9 +270,3 @@ def _finish(raw: Raw, description: RawDescription) -> Raw:
 def _cut(array: np.ndarray, crop: tuple[int, int, int, int]) -> np.ndarray:
     top, left, height, width = crop
     return array[top : top + height, left : left + width]
-
-
-def _gains(values: Any) -> np.ndarray:
-    """LibRaw's multipliers with green 1; ones where it has none."""
-    gains = np.array(values[:3], np.float64)
-    return gains / gains[1] if np.isfinite(gains).all() and gains.min() > 0 else np.ones(3)

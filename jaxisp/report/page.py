@@ -11,7 +11,7 @@ import jinja2
 import numpy as np
 from PIL import Image
 
-from jaxisp.io.files import atomic_write
+from jaxisp.io.files import write_text
 
 _ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("jaxisp", "report"), autoescape=True, trim_blocks=True, lstrip_blocks=True
@@ -49,8 +49,7 @@ class Page:
 
     def write(self, path: str | Path) -> None:
         """Write the page, whole or not at all."""
-        with atomic_write(path) as file:
-            file.write(self.html().encode())
+        write_text(path, self.html())
 
 
 def _uri(picture: Any, magnify: int) -> str:

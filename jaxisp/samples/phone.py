@@ -1,12 +1,10 @@
 """A reference phone: takes scenes to RAW mosaics and JPEGs without any of the simulator's code.
 
 What tests the simulator must not be made by it, so a whole camera is written here a second time, in NumPy, by
-other formulas and algorithms where there is a choice. Only what writes a DNG is imported, where it is used.
+other formulas and algorithms where there is a choice. Only what writes files is imported, where it is used.
 """
 
 import io
-import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -363,14 +361,8 @@ def _middle(scene: np.ndarray, size: Size) -> np.ndarray:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file as a whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".partial")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
+    from jaxisp.io.files import atomic_write, output_folder
+
+    output_folder(path.parent)
+    with atomic_write(path) as file:
+        file.write(content)

@@ -1,8 +1,6 @@
 """Degrading files: resumed, killed, two at once, a full disk, odd names, folders that cannot be written."""
 
-import contextlib
 import fcntl
-import subprocess
 
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from jaxisp.generate import degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.recipes import RECIPES
 from tests.conftest import smooth_image
+from tests.mounts import mounted
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +50,6 @@ def test_two_runs_into_one_folder_are_refused(photos, tmp_path):
     assert degrade_files([photos], tmp_path, RECIPES["awgn"]()).images == 4
 
 
-@contextlib.contextmanager
-def mounted(folder, *options):
-    folder.mkdir()
-    done = subprocess.run(["mount", *options, str(folder)], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"cannot mount here: {done.stderr.strip()}")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", str(folder)], check=True)
-
-
 def test_a_full_disk_is_one_line_and_leaves_whole_files(photos, tmp_path):
     with mounted(tmp_path / "small", "-t", "tmpfs", "-o", "size=24k", "tmpfs") as out:
         with pytest.raises(InputError, match="cannot be written: no space left on device"):
@@ -75,7 +62,7 @@ def test_a_full_disk_is_one_line_and_leaves_whole_files(photos, tmp_path):
 def test_shards_on_a_full_disk(photos, tmp_path):
     pytest.importorskip("array_record")
     from jaxisp.data import degrade_shards
-    from jaxisp.data.shards import shard_name
+    from jaxisp.data.shard_source import shard_name
     from jaxisp.generate import Work
 
     with mounted(tmp_path / "small", "-t", "tmpfs", "-o", "size=48k", "tmpfs") as out:

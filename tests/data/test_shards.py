@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxisp.data import ShardSource, degrade_shards
-from jaxisp.data.shards import parse_shards, shard_name
+from jaxisp.data.shard_source import shard_name
+from jaxisp.data.shards import parse_shards
 from jaxisp.errors import InputError
 from jaxisp.generate import Work, degrade_files
 from jaxisp.io import read_image, write_png

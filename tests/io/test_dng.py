@@ -1,5 +1,7 @@
 """Opcode lists, colour calibration and the DNG writer, against rawpy (LibRaw) and closed forms."""
 
+import warnings
+
 import colour
 import numpy as np
 import pytest
@@ -75,6 +77,19 @@ def test_damaged_opcodes_raise_input_error(at, value):
             assert str(error).startswith("x.dng: ")
     with pytest.raises(InputError):
         parse_opcodes(good[:-1])
+
+
+def test_numbers_that_float32_does_not_hold_are_no_second_line(rng):
+    """A signalling NaN, and a spacing by which everything is infinitely far: no warning beside the error."""
+    gains = rng.uniform(1, 2, (3, 4, 1))
+    data = bytearray(pack_opcodes([GainMap(gains, (0, 0, 8, 10), spacing=(5e-324, 0.25))]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shading = shading_gain(parse_opcodes(bytes(data)), (8, 10))
+        assert np.isfinite(shading).all()
+        data[-4:] = b"\x7f\xa0\0\0"
+        with pytest.raises(InputError, match="NaN or infinity"):
+            parse_opcodes(bytes(data))
 
 
 def test_shading_gain_is_bilinear_in_relative_coordinates():

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
 from jaxisp.errors import InputError
-from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, frame_header, read_jpeg, write_jpeg
+from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, read_jpeg, write_jpeg
+from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.jpeg_tables import quality_tables
 from tests.conftest import smooth_image

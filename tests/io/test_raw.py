@@ -16,9 +16,10 @@ from PIL import Image, ImageOps
 from jaxisp.cfa import PATTERNS, shifted
 from jaxisp.errors import InputError
 from jaxisp.io.jpeg import encode_jpeg
+from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear
 from jaxisp.io.orientation import INVERSE, orient, unorient
-from jaxisp.io.raw import embedded_jpeg, read_raw
+from jaxisp.io.raw import read_raw
 from tests.io.samples import BLACK, NEUTRAL, WHITE, dng, mosaic
 
 
