@@ -81,7 +81,10 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
         (("train", "--clean", "CLEAN", "-o", "RUN"), "needs --recipe"),
         (("train", "--clean", "MISSING", "--recipe", "awgn", "-o", "RUN"), "missing"),
         (("train", "--clean", "CLEAN", "--recipe", "noise", "-o", "RUN"), "no recipe named 'noise'"),
-        (("train", "--clean", "CLEAN", "--recipe", "awgn", "--model", "unet", "-o", "RUN"), "no model named"),
+        (
+            ("train", "--clean", "CLEAN", "--recipe", "awgn", "--model", "none", "-o", "RUN"),
+            "no model named",
+        ),
         (
             ("train", "--clean", "CLEAN", "--recipe", "awgn", "--loss", "l3", "-o", "RUN"),
             "expected one of l1",

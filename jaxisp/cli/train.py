@@ -41,7 +41,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
     command.add_argument(
         "--model", metavar="NAME",
-        help="fast (default), dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
+        help="unet (default), fast, dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
     )  # fmt: skip
     command.add_argument("-o", "--out", required=True, metavar="RUN", help="the run is written here")
     command.add_argument("--resume", action="store_true", help="go on from the run's last checkpoint")

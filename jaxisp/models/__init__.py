@@ -15,9 +15,11 @@ from jaxisp.models.ffdnet import FFDNet
 from jaxisp.models.inference import denoise
 from jaxisp.models.n3net import N3Net
 from jaxisp.models.nafnet import NAFNet
+from jaxisp.models.unet import UNet
 
 MODELS: dict[str, Callable[..., nnx.Module]] = {
     "fast": FastNet,
+    "unet": UNet,
     "dncnn6": functools.partial(DnCNN, depth=6),
     "dncnn17": DnCNN,
     "ffdnet": FFDNet,
@@ -59,6 +61,7 @@ __all__ = [
     "FastNet",
     "N3Net",
     "NAFNet",
+    "UNet",
     "count_parameters",
     "denoise",
     "make_model",

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, one_line
 from jaxisp.train.step import State
 
 FOLDERS = ("best", "last")
@@ -64,7 +64,7 @@ class Checkpoints:
             last = max(self.steps(), default=None)
             stands = f"the one of step {last} is intact" if last else "there is none yet"
             raise InputError(
-                f"{self.run}: the checkpoint of step {step} cannot be written ({_short(error)}); {stands}"
+                f"{self.run}: the checkpoint of step {step} cannot be written ({one_line(error)}); {stands}"
             ) from error
 
     def steps(self, which: str = "last") -> list[int]:
@@ -82,7 +82,7 @@ class Checkpoints:
             try:
                 return self._restore(self._managers[which], step, like)
             except Exception as error:  # damaged after it was written: the one before may be whole
-                why = f"step {step}: {_short(error)}"
+                why = f"step {step}: {one_line(error)}"
         raise InputError(f"{self.run}: no {which} checkpoint that can be read ({why})")
 
     def _restore(self, manager: ocp.CheckpointManager, step: int, like: State) -> State:
@@ -106,11 +106,6 @@ def _manager(folder: Path, keep: int) -> ocp.CheckpointManager:
 
 def _notes(manager: ocp.CheckpointManager, step: int) -> dict[str, Any]:
     return manager.restore(step, args=ocp.args.Composite(notes=ocp.args.JsonRestore()))["notes"]
-
-
-def _short(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) < 200 else text[:200] + "..."
 
 
 def fingerprint(state: State) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, read_toml, short
+from jaxisp.io.files import read_toml, short, write_text
 
 Light = Literal["encoded", "linear"]
 _CHOICES = {
@@ -54,7 +54,7 @@ class TrainConfig:
 
     clean: tuple[str, ...]
     recipe: str
-    model: str = "fast"
+    model: str = "unet"
     model_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 5000
     batch: int = 32
@@ -97,8 +97,7 @@ class TrainConfig:
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
-        with atomic_write(path) as file:
-            file.write(tomli_w.dumps(dataclasses.asdict(self)).encode())
+        write_text(path, tomli_w.dumps(dataclasses.asdict(self)))
 
     @classmethod
     def load(cls, path: str | Path) -> "TrainConfig":

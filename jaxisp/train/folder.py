@@ -1,35 +1,17 @@
-"""The folder of a run: one writer at a time, what it was told, and its model card."""
+"""The folder of a run: what it was told, and its model card."""
 
-import contextlib
 import dataclasses
-import fcntl
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from jaxisp import __version__
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, output_folder
+from jaxisp.io.files import write_text
 from jaxisp.recipe import Recipe
 from jaxisp.train.config import TrainConfig
 
 _LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
 CONFIG, RECIPE, CARD = "config.toml", "recipe.toml", "MODEL_CARD.md"
-
-
-@contextlib.contextmanager
-def locked(run: Path) -> Iterator[None]:
-    """Keep other processes from training into the folder; the system frees it when a process dies.
-
-    Raises:
-        InputError: another process is training into it.
-    """
-    with (output_folder(run) / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InputError(f"{run}: another process is training into this folder") from error
-        yield
 
 
 def begin(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
@@ -96,8 +78,7 @@ Recipe:
 ```toml
 {recipe.to_toml()}```
 """
-    with atomic_write(run / CARD) as file:
-        file.write(text.encode())
+    write_text(run / CARD, text)
 
 
 def _size(factor: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from tensorboardX import SummaryWriter
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, reason
+from jaxisp.io.files import reason, write_text
 
 STEP_FIELDS = ("step", "epoch", "loss", "grad_norm", "lr", "images_per_second")
 VALIDATION_FIELDS = ("step", "loss", "psnr", "psnr_in")
@@ -72,5 +72,4 @@ def _truncate(path: Path, fields: Sequence[str], step: int) -> None:
     writer = csv.DictWriter(text, fields)
     writer.writeheader()
     writer.writerows(kept)
-    with atomic_write(path) as file:
-        file.write(text.getvalue().encode())
+    write_text(path, text.getvalue())

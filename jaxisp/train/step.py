@@ -24,6 +24,7 @@ LOSSES: dict[str, Callable[[jax.Array], jax.Array]] = {
     "charbonnier": charbonnier,
     "smooth_l1": lambda x: optax.losses.huber_loss(x, delta=1.0),
 }
+"""Penalties of a difference by the names that `TrainConfig.loss` takes; their mean is the loss."""
 
 
 class State(NamedTuple):

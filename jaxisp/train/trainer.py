@@ -17,13 +17,14 @@ from jax.experimental import multihost_utils
 from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
+from jaxisp.io.locks import locked
 from jaxisp.models import count_parameters, make_model
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import find_recipe
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread
-from jaxisp.train.folder import begin, locked, write_card
+from jaxisp.train.folder import begin, write_card
 from jaxisp.train.logs import Log
 from jaxisp.train.optimizer import make_optimizer, schedule
 from jaxisp.train.step import State, init_state, make_step
@@ -97,7 +98,7 @@ def train(
     if recipe.chain.domain_in.channels != 3 or recipe.chain.domain_out.channels != 3:
         raise InputError(f"recipe {recipe.name!r} takes {recipe.chain.domain_in.name}, not photographs")
     lead = jax.process_index() == 0
-    with locked(run) if lead else contextlib.nullcontext(), _Signals() as signals:
+    with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
         if lead:
             begin(run, config, recipe, resume=resume)
         return _Run(config, run, recipe, lead, signals, tick).train()

@@ -33,6 +33,17 @@ def test_downsampling_is_a_mean_in_linear_light():
     np.testing.assert_allclose(downsample_linear(flat, 4), 0.3, atol=1e-6)
 
 
+def test_downsampling_softens_as_asked():
+    rng = np.random.default_rng(0)
+    image = np.clip(rng.normal(0.5, 0.05, (256, 320, 3)), 0, 1).astype(np.float32)
+    sharp, soft = (downsample_linear(image, 2, softness) - 0.5 for softness in (0.0, 0.8))
+    kernel = np.exp(-0.5 * (np.arange(-4, 5) / 0.8) ** 2)
+    kernel /= kernel.sum()
+    # white noise through a separable kernel keeps the square of its energy, for each axis
+    want = (kernel**2).sum() * sharp[4:-4, 4:-4].std()
+    np.testing.assert_allclose(soft[4:-4, 4:-4].std(), want, rtol=0.03)
+
+
 def test_bad_photographs_are_listed_and_skipped(folder):
     (folder / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnot a picture")
     Image.fromarray(np.zeros((20, 20, 3), np.uint8)).save(folder / "small.png")

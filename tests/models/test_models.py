@@ -14,6 +14,7 @@ from jaxisp.models.n3net import N3Block, _candidates
 
 SMALL = {
     "fast": {"depth": 3, "features": 8},
+    "unet": {"features": (8, 8), "depth": 1},
     "dncnn6": {"features": 8},
     "dncnn17": {"features": 8, "depth": 4},
     "ffdnet": {"depth": 3, "features": 8},
@@ -60,8 +61,8 @@ def test_any_size_keeps_its_shape(name):
 
 
 def test_unknown_names_and_options_are_refused():
-    with pytest.raises(InputError, match="no model named 'unet'; there are fast"):
-        make_model("unet")
+    with pytest.raises(InputError, match="no model named 'nonsense'; there are fast"):
+        make_model("nonsense")
     with pytest.raises(InputError, match=r"'fast'.*nonsense"):
         make_model("fast", nonsense=1)
 
@@ -73,7 +74,7 @@ def test_pixel_shuffle_undoes_unshuffle():
     np.testing.assert_array_equal(small[0, 1, 2, 3:6], x[0, 2, 5])  # the pixel to the right, after the first
 
 
-@pytest.mark.parametrize(("name", "tile"), [("fast", 24), ("dncnn6", 20)])
+@pytest.mark.parametrize(("name", "tile"), [("fast", 24), ("unet", 40), ("dncnn6", 20)])
 @pytest.mark.parametrize("size", [(40, 61), (9, 33)])
 def test_tiles_give_the_whole_picture(name, tile, size, rng):
     model = make_model(name, **SMALL[name])
