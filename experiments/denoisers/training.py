@@ -17,7 +17,7 @@ FITTED = "phone-fitted"
 SCALES: dict[str, dict[str, Any]] = {
     # About ten minutes each on two cores that have nothing else to do.
     "cpu": {
-        "model": "fast", "steps": 6000, "batch": 8, "patch": 64, "downsample": 1, "per_image": 20,
+        "model": "unet", "steps": 2500, "batch": 6, "patch": 80, "downsample": 1, "per_image": 20,
         "held_out": 6, "validation": 64, "checkpoint_every": 500,
     },
     # Jaroensri et al. 2019: N3Net as they used it, 100 epochs of 25,000 patches, linear light.

@@ -25,6 +25,7 @@ from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of
 from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded
+from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 _REPLICATES = 4
 _FEWEST = 4  # scenes that tell how they differ
@@ -38,13 +39,16 @@ class StatisticsProblem:
     whatever the parameters, so that a change of statistics is the parameters' doing.
     """
 
-    choices: Sequence[Choice] = ()
     references: Mapping[int, float] = MappingProxyType({})
 
     def __init__(
         self, model: Model, camera: Camera, pairs: Pairs, noise_free: np.ndarray, split: Split, seed: int
     ) -> None:
         self.model, self.pairs, self.split, self.seed = model, pairs, split, seed
+        self.choices: Sequence[Choice] = [  # the demosaicker nearest to the pictures may imitate an effect
+            Choice({"demosaicking": Demosaicking(shares=shares)}, {})
+            for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
+        ]
         self.inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.mask = jnp.asarray(pairs.mask[self.inner], jnp.float32)
         self.base_picture = jnp.asarray(noise_free[self.inner])
@@ -157,6 +161,11 @@ class StatisticsProblem:
     def current(self) -> np.ndarray:
         return np.asarray(self.base_picture)
 
+    def choose(self, choice: Choice) -> None:
+        """Put a choice into the base, and stay at the same point."""
+        self.model = self.model.chosen(choice)
+        self.move_to(self.z)
+
     def placed(self, z: np.ndarray, i: int, value: float) -> np.ndarray:
         """The point with one coordinate elsewhere; a noise that is added there is taken from read noise."""
         return placed(self.model, z, i, value)
@@ -190,10 +199,6 @@ class StatisticsProblem:
         part = copy.copy(self)
         part.__dict__.update(own)
         return own | {"real": part.measured(part.target)}
-
-    def choose(self, choice: Choice) -> None:
-        self.model = self.model.chosen(choice)
-        self.move_to(self.z)
 
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         for i in set(which) - set(self.columns):
