@@ -215,15 +215,16 @@ def _raw_problem(
     else:
         model = prepare.camera_model(camera, loaded, effects)
         absorbed, choices = {}, []
-    elsewhere = (0, 0)
+    references: dict[int, float] = {}
     if loaded[0].jpeg is not None and "double_compression" in model.effects:
-        elsewhere = earlier_grid(to_steps(pairs.pictures)[..., 0])
-        model = prepare.with_earlier_grid(model, elsewhere)
+        place = earlier_grid(to_steps(pairs.pictures)[..., 0])
+        model = prepare.with_earlier_grid(model, place)
+        if place == (0, 0):  # the file's own grid
+            indices = model.indices(["double_compression"])
+            references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
     problem = Problem(model, pairs, choices)
     problem.weigh(problem.robust_weights())
-    if loaded[0].jpeg is not None and "double_compression" in model.effects and elsewhere == (0, 0):
-        quality = float(loaded[0].jpeg.quality)
-        problem.references = dict.fromkeys(model.indices(["double_compression"]), quality)
+    problem.references = references
     # a file that is no JPEG was compressed once, if at all; a JPEG's header states how it was last
     stated = {"double_compression" if loaded[0].jpeg is None else "jpeg_quantization"}
     if loaded[0].jpeg is not None and loaded[0].jpeg.subsampling != "4:4:4":

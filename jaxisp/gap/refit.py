@@ -91,28 +91,30 @@ def _fit_with(
     part: Measured, moving: Sequence[int], own: Sequence[int], seen: Sequence[int], steps: int
 ) -> None:
     """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
-    searched = [i for i in own if part.model.coordinates[i].move.grid]
+    gridded = [i for i in own if part.model.coordinates[i].move.grid]
     columns = part.columns
-    for i in searched:
+    for i in gridded:
         part.move_to(part.placed(part.z, i, part.z[i] + lowest(part, i, seen)))
-    starts = part.starts([i for i in own if i not in searched])
+    starts = part.starts([i for i in own if i not in gridded])
     if starts:
         part.move_to(min(starts, key=lambda z: part.errors(z)[list(seen)].mean()))
-    smooth = [i for i in moving if i not in searched]
+    smooth = [i for i in moving if i not in gridded]
     fresh = [i for i in smooth if i in own or i in part.fresh]
-    left = fresh if starts or searched else []  # their columns are another point's
-    part.columns = {i: column for i, column in columns.items() if i not in left}
+    if starts or gridded:  # the columns of these are another point's
+        columns = {i: column for i, column in columns.items() if i not in fresh}
+    part.columns = dict(columns)
     fit(part, smooth, seen, steps=steps, fresh=fresh)
-    for i in searched:
+    for i in gridded:
         for share in (0.5, 0.25):
             part.move_to(_nearby(part, i, share, seen))
         if part.model.coordinates[i].move.fine:
             part.move_to(_finely(part, i, seen))
-            part.columns = columns
+            part.columns = dict(columns)
             fit(part, smooth, seen, steps=2, fresh=fresh)
 
 
 def searched(problem: Measured, names: Sequence[str]) -> list[int]:
+    """Coordinates of these effects that are searched for on a grid."""
     return [i for i in problem.model.indices(names) if problem.model.coordinates[i].move.grid]
 
 
@@ -149,12 +151,12 @@ def _choose_again(problem: Measured, seen: Sequence[int]) -> int | None:
     Without its effect a camera is explained best by the demosaicker whose flaws look most like the effect.
     """
     seen, model = list(seen), problem.model
-    lowest, best_choice = problem.errors(problem.z)[seen].mean() * _CLEARLY, None
+    least, best_choice = problem.errors(problem.z)[seen].mean() * _CLEARLY, None
     for k, choice in enumerate(problem.choices):
         problem.model = model.chosen(choice)
         error = problem.errors(problem.z)[seen].mean()
-        if error < lowest:
-            lowest, best_choice = error, k
+        if error < least:
+            least, best_choice = error, k
     problem.model = model
     if best_choice is not None:
         problem.choose(problem.choices[best_choice])
