@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp import cores
+
 LIBRARIES = (
     "jax", "jaxlib", "numpy", "opencv-python-headless", "pillow", "scipy", "scikit-image", "PyWavelets",
     "colour-science", "colour-demosaicing", "rawpy", "torch", "kornia",
@@ -28,7 +30,7 @@ def machine() -> dict[str, Any]:
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
         "processor": processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": cores.available(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "threads": threads(),

@@ -20,7 +20,7 @@ import optax
 
 from benchmarks.machine import load, machine
 from benchmarks.timing import interleaved, summary
-from jaxisp.cli.train import use_cores
+from jaxisp.cli.devices import use_cores
 from jaxisp.models import make_model
 from jaxisp.recipes import find_recipe
 from jaxisp.train import degrader, init_state, make_mesh, make_step, replicate
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=50.0, help="no further round is begun after")
     parser.add_argument("--out", type=Path, default=Path("docs/results"))
     arguments = parser.parse_args()
-    use_cores(None)
+    use_cores()
     busy = [load()]
     calls = {**jax_calls(), **torch_calls()}
     for call in calls.values():

@@ -14,7 +14,7 @@ from experiments.denoisers import classical, report
 from experiments.denoisers.classical import Denoise
 from experiments.denoisers.pairs import evaluation_set, in_camera_tone
 from experiments.denoisers.training import SCALES, Place, configuration, trained
-from jaxisp.cli.train import use_cores
+from jaxisp.cli.devices import use_cores
 from jaxisp.train import AlignedPair, Denoiser, evaluate_pairs
 
 CEILING = "clean in the camera's tone (no denoiser)"
@@ -45,7 +45,7 @@ class Table:
 def main(table: Table, arguments: Sequence[str] | None = None) -> None:
     """The command of a table."""
     options = _parser(table).parse_args(arguments)
-    use_cores(None)
+    use_cores()
     place = Place(options.data, options.work, tuple(options.clean))
     changes = {name: getattr(options, name) for name in ("steps", "light") if getattr(options, name)}
     recipes = [name for name in table.recipes if name in options.recipes]

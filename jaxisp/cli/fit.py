@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.devices import add_devices, join, use_cores
 
 
 def add_commands(commands: Any) -> None:
@@ -36,14 +37,20 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--recipe", metavar="OUT.toml", help="also write a recipe for `jaxisp degrade` that draws this camera"
     )
+    add_devices(command, "spread the tiles over N parts of it (default: one, with a thread a core)")
 
 
 def run(arguments: Namespace) -> int:
+    if arguments.cpu_devices:
+        use_cores(arguments.cpu_devices)
+    import jax
+
     from jaxisp.fit import fit_dataset, prior_from_cameras
     from jaxisp.fit.journal import beside
     from jaxisp.fit.report import write_report
     from jaxisp.io import output_folder
 
+    join(arguments)
     for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
         output_folder(Path(path).parent)
     if arguments.report:
@@ -57,8 +64,11 @@ def run(arguments: Namespace) -> int:
             starts=arguments.starts,
             per_image=[name for name in arguments.per_image.split(",") if name],
             journal=beside(arguments.out),
+            mesh=_mesh(bool(arguments.cpu_devices)),
             tick=tick,
         )
+    if jax.process_index():  # the first writes for all
+        return report_failures(result.failed)
     result.camera.save(arguments.out)
     if arguments.recipe:
         prior_from_cameras([result.camera]).save(arguments.recipe)
@@ -72,6 +82,17 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result, arguments.out)
     return report_failures(result.failed)
+
+
+def _mesh(wanted: bool) -> Any:
+    """All devices, where they are several; the parts of one CPU only where they are wanted."""
+    import jax
+    import numpy as np
+    from jax.sharding import Mesh
+
+    devices = jax.devices()
+    several = jax.process_count() > 1 or jax.default_backend() != "cpu" or wanted
+    return Mesh(np.asarray(devices), ("tiles",)) if several and len(devices) > 1 else None
 
 
 def _print(result: Any, out: str) -> None:

@@ -1,11 +1,11 @@
 """`jaxisp train`: a denoiser, on pairs degraded on the fly."""
 
-import contextlib
 import os
 from argparse import Namespace
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.devices import add_devices, join, use_cores
 from jaxisp.errors import InputError
 
 _OPTIONS: tuple[tuple[str, Any, str], ...] = (
@@ -56,18 +56,7 @@ def add_commands(commands: Any) -> None:
         help="the same crops each epoch, as in the paper",
     )  # fmt: skip
     command.add_argument("--bf16", action="store_true", default=None, help="compute in bfloat16")
-    command.add_argument(
-        "--cpu-devices", type=positive, metavar="N",
-        help="on a CPU, spread batches over N parts of it (default: one a core, at most 8)",
-    )  # fmt: skip
-    command.add_argument(
-        "--coordinator", metavar="HOST:PORT",
-        help="train with several processes that meet here; auto: as Slurm, MPI or Kubernetes says",
-    )  # fmt: skip
-    command.add_argument(
-        "--processes", type=positive, metavar="N", help="how many; with --coordinator HOST:PORT"
-    )
-    command.add_argument("--process-id", type=int, metavar="I", help="which this one is, from 0")
+    add_devices(command, "spread batches over N parts of it (default: one a core, at most 8)")
 
 
 def run(arguments: Namespace) -> int:
@@ -78,7 +67,7 @@ def run(arguments: Namespace) -> int:
     from jaxisp.train import TrainConfig, train
     from jaxisp.train.folder import CONFIG, load_settings
 
-    _join(arguments)
+    join(arguments)
     given = {n: getattr(arguments, n) for n in _SETTINGS if getattr(arguments, n) is not None}
     if arguments.clean:
         given["clean"] = tuple(arguments.clean)
@@ -110,29 +99,3 @@ def _print(result: Any) -> None:
     if result.validation:
         found = result.validation
         print(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")
-
-
-def use_cores(count: int | None) -> None:
-    """Let JAX see the CPU as several devices: its convolutions use one core each. Before it computes."""
-    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
-        return
-    import jax
-
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with contextlib.suppress(RuntimeError):  # it computes already, in a program that calls this one
-        jax.config.update("jax_num_cpu_devices", count or min(8, available))
-
-
-def _join(arguments: Namespace) -> None:
-    """Join the other processes, where there are any."""
-    if not arguments.coordinator:
-        return
-    import jax
-
-    try:
-        if arguments.coordinator == "auto":
-            jax.distributed.initialize()
-        else:
-            jax.distributed.initialize(arguments.coordinator, arguments.processes, arguments.process_id)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"--coordinator {arguments.coordinator}: {error}") from None

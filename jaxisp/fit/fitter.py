@@ -12,7 +12,9 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from jaxisp.errors import InputError
 from jaxisp.fit import model
@@ -21,11 +23,10 @@ from jaxisp.fit.evaluate import evaluate
 from jaxisp.fit.journal import Journal, alone, fingerprint
 from jaxisp.fit.lens import Lens
 from jaxisp.fit.pair import FROM_FILE, Example
-from jaxisp.fit.program import compile_for
 from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.fit.search import Options, Outcome, Search, Tick
 from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
-from jaxisp.fit.threads import ahead
+from jaxisp.fit.spread import agree, ahead, compile_for
 from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
 from jaxisp.params import specs
 from jaxisp.pipeline import Params
@@ -50,6 +51,7 @@ def fit_examples(
     fixed: Sequence[str] = FIXED_NAMES,
     starts: int = 1,
     journal: str | Path | None = None,
+    mesh: Mesh | None = None,
     tick: Tick = lambda done, total, text: None,
 ) -> FitResult:
     """Fit one camera to RAW+JPEG pairs.
@@ -66,7 +68,9 @@ def fit_examples(
         fixed: parameters that stay where they start.
         starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
         journal: a file for what is done, from which a stopped fit goes on; removed when the fit is done.
-            One process at a time.
+            One process at a time; of several that fit together all read it and the first writes it.
+        mesh: devices of one kind, along one axis, that the tiles are spread over; also those of other
+            processes (`jax.distributed`), which must call this with the same pairs. All get the result.
         tick: called with (done, total, text).
 
     Returns:
@@ -74,21 +78,26 @@ def fit_examples(
         that no global camera can have made have `flags`.
 
     Raises:
-        InputError: no pair can be fitted, there is no such choice, or another process has the journal.
+        InputError: no pair can be fitted, there is no such choice, another process has the journal, or
+            processes that fit together see different pairs.
     """
     options = Options(steps, demosaic, median, place, tuple(per_image), tuple(fixed), starts)
     _check(options)
-    with alone(journal):
-        return _fitted(examples, options, journal, tick)
+    with alone(journal if jax.process_index() == 0 else None):
+        return _fitted(examples, options, journal, tick, mesh)
 
 
-def _fitted(examples: Sequence[Given], options: Options, journal: str | Path | None, tick: Tick) -> FitResult:
+def _fitted(
+    examples: Sequence[Given], options: Options, journal: str | Path | None, tick: Tick, mesh: Mesh | None
+) -> FitResult:
     clock = time.perf_counter()
-    shots, failed, begun = _prepared(examples, options, tick)
-    book = Journal.open(journal, fingerprint(options, *_contents([s for _, s in shots])))
-    search = Search([s for _, s in shots], options, book, tick)
+    shots, failed, begun = _prepared(examples, options, tick, mesh)
+    same = fingerprint(options, *_contents([s for _, s in shots]))
+    book = Journal.open(journal, same, writes=jax.process_index() == 0)
+    search = Search([s for _, s in shots], options, book, tick, mesh)
     for compiled in begun:
         compiled.result()
+    agree(fingerprint(same, book.entries))
     outcome = search.run()
     pairs = _measured(outcome, shots)
     bad = [i for i, pair in enumerate(pairs) if pair.flags]
@@ -97,7 +106,7 @@ def _fitted(examples: Sequence[Given], options: Options, journal: str | Path | N
     if bad:  # what no camera made must not pull on the camera
         failed += [(pairs[i].name, f"{pairs[i].name}: left out: {', '.join(pairs[i].flags)}") for i in bad]
         shots = [s for i, s in enumerate(shots) if i not in bad]
-        search = Search([s for _, s in shots], options, Journal.open(None, ""), tick)
+        search = Search([s for _, s in shots], options, Journal.open(None, ""), tick, mesh)
         outcome = search.finish(outcome.design, _without(outcome, bad), "without flagged pairs")
         pairs = _measured(outcome, shots)
     result = _result(outcome, [s for _, s in shots], pairs, time.perf_counter() - clock, failed, book.resumed)
@@ -119,16 +128,16 @@ def _check(options: Options) -> None:
         raise InputError(f"{options.starts} starts: there are 1 to {len(model.starts())}")
 
 
-def _ahead(options: Options, shot: Shot) -> list["Future[Any]"]:
+def _ahead(options: Options, shot: Shot, mesh: Mesh | None) -> list["Future[Any]"]:
     """Begin to compile what the fit of a pair like this one needs, while others are still aligned."""
     return [
-        ahead(lambda: compile_for(options.problem(shot.jpeg))),
+        ahead(lambda: compile_for(options.problem(shot.jpeg), mesh)),
         ahead(lambda: [with_source(shot.chunks[0], shot.cfa, design) for design in options.designs]),
     ]
 
 
 def _prepared(
-    examples: Sequence[Given], options: Options, tick: Tick
+    examples: Sequence[Given], options: Options, tick: Tick, mesh: Mesh | None
 ) -> tuple[list[tuple[Given, Shot]], list[tuple[str, str]], list["Future[Any]"]]:
     """The pairs that can be fitted, why others cannot, and what is being compiled."""
     begun: list[Future[Any]] = []
@@ -141,7 +150,7 @@ def _prepared(
             loaded = example() if callable(example) else example
             name = loaded.name
             shots.append((example, prepare(loaded, most)))
-            begun = begun or _ahead(options, shots[0][1])
+            begun = begun or _ahead(options, shots[0][1], mesh)
         except InputError as error:
             failed.append((name, str(error)))
     if not shots:

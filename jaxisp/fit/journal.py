@@ -26,19 +26,21 @@ class Journal:
     Args:
         path: the file; it is replaced whole at each entry.
         print: what the fit is of. A file with another one is of another fit, and is not read.
+        writes: whether this process writes it; of several that fit together one does.
     """
 
     path: Path | None = None
     print: str = ""
+    writes: bool = True
     entries: dict[str, Any] = dataclasses.field(default_factory=dict)
     resumed: bool = False
 
     @classmethod
-    def open(cls, path: str | Path | None, print: str) -> "Journal":
+    def open(cls, path: str | Path | None, print: str, writes: bool = True) -> "Journal":
         """The journal at a path, with what it holds where it is of the same fit."""
         if path is None:
             return cls()
-        journal = cls(Path(path), print)
+        journal = cls(Path(path), print, writes)
         try:
             stored = json.loads(journal.path.read_text()) if journal.path else {}
         except (OSError, ValueError):
@@ -55,13 +57,13 @@ class Journal:
     def put(self, job: str, state: State, finished: bool) -> None:
         """Note where a job is."""
         self.entries[job] = {"state": _encode(state), "finished": finished}
-        if self.path is not None:
+        if self.path is not None and self.writes:
             with atomic_write(self.path) as file:
                 file.write(json.dumps({"print": self.print, "jobs": self.entries}).encode())
 
     def remove(self) -> None:
         """The fit is done."""
-        if self.path is not None:
+        if self.path is not None and self.writes:
             self.path.unlink(missing_ok=True)
 
 

@@ -215,20 +215,18 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
     )
 
 
-@functools.cache
-def no_jacobian(problem: Problem) -> jax.Array:
-    """What `near` is where nothing is known."""
-    return jnp.zeros((len(problem.columns), 3 * TILES * TILE * TILE))
+def jacobian_shape(problem: Problem) -> tuple[int, int]:
+    """Of `Normal.jacobian`."""
+    return len(problem.columns), 3 * TILES * TILE * TILE
 
 
-def compile_for(problem: Problem) -> None:
-    """Run `normal_equations` once on nothing: it takes far longer to compile than to run."""
+def on_nothing(problem: Problem) -> tuple[Given, np.ndarray, Chunk]:
+    """Arguments for `normal_equations` with which it can be compiled."""
     start, columns = as_arrays(model.start()), len(problem.columns)
     moving, still = np.zeros(columns, bool), np.asarray([0, 0, 1, 1], np.float32)
     no, tables = np.bool_(False), np.ones((2, 8, 8), np.float32)
     given = Given(start, np.int32(0), still, no, no, tables, moving)
-    vector = np.zeros(columns, np.float32)
-    jax.block_until_ready(normal_equations(problem, given, vector, no_chunk(), no_jacobian(problem)))
+    return given, np.zeros(columns, np.float32), no_chunk()
 
 
 @jax.jit

@@ -9,7 +9,7 @@ import numpy as np
 from jaxisp.fit import model
 from jaxisp.fit.pair import Example
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.threads import together
+from jaxisp.fit.spread import Call
 from jaxisp.fit.tiles import TILE, TILES, Shot, blank, padded, with_source
 from jaxisp.io import Jpeg
 from jaxisp.metrics import ssim_map
@@ -50,14 +50,15 @@ def render(
     if where is not None:
         corners = [(y, x) for y, x in corners if where[y : y + TILE, x : x + TILE].any()]
 
-    def one(some: list[tuple[int, int]]) -> None:
+    def call(some: list[tuple[int, int]]) -> Call:
         chunk = with_source(blank(example, mosaic, shot, some), shot.cfa, fit.design)
-        tiles = np.asarray(fit.normal(given, vector.astype(np.float32), chunk).render)
-        for (y, x), tile in zip(some, tiles):
+        return given, vector.astype(np.float32), chunk
+
+    groups = [corners[first : first + TILES] for first in range(0, len(corners), TILES)]
+    for some, found in zip(groups, fit.each(call, groups)[0]):
+        for (y, x), tile in zip(some, np.asarray(found.render)):
             part = out[y : y + TILE, x : x + TILE]
             part[:] = tile[: part.shape[0], : part.shape[1]]
-
-    together(one, [corners[first : first + TILES] for first in range(0, len(corners), TILES)])
     return compressed(np.round(out * 255) / 255, shot.jpeg)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.begin import begin
@@ -106,10 +107,19 @@ class Search:
         options: what is settled.
         journal: where the states go.
         tick: progress.
+        mesh: devices that the chunks are spread over.
     """
 
-    def __init__(self, shots: Sequence[Shot], options: Options, journal: Journal, tick: Tick):
+    def __init__(
+        self,
+        shots: Sequence[Shot],
+        options: Options,
+        journal: Journal,
+        tick: Tick,
+        mesh: Mesh | None = None,
+    ):
         self.shots, self.options, self.journal, self.tick = tuple(shots), options, journal, tick
+        self.mesh = mesh
         self.losses: list[float] = []
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
@@ -234,7 +244,8 @@ class Search:
         if not whole:
             kept = self._coarse()
             views = tuple(v._replace(chunks=v.chunks[:n]) for v, n in zip(views, kept))
-        return Fit(self.problem, self.start, views, self.origin, design, **{"now": self.origin, **options})
+        given = {"now": self.origin, "mesh": self.mesh, **options}
+        return Fit(self.problem, self.start, views, self.origin, design, **given)
 
     def _coarse(self) -> list[int]:
         """How many groups of tiles of each pair the phases before the last take: half, or COARSE in all."""

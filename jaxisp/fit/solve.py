@@ -5,15 +5,15 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
-from jaxisp.fit.program import no_jacobian, normal_equations, sums_of
+from jaxisp.fit.program import sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
+from jaxisp.fit.spread import Call, each
 from jaxisp.fit.state import Equations, Place, State, View
-from jaxisp.fit.threads import together
 from jaxisp.fit.tiles import Chunk
 from jaxisp.pipeline import Params
 
@@ -42,6 +42,7 @@ class Fit:
         now: whose mean loss counts as 1; the start's unless given.
         statistics: what one noise statistic a tolerance off counts against that loss. It is 0 until tone
             and colour are right: before, the noise would be matched by bending them.
+        mesh: devices that the chunks are spread over; see `spread.each`.
     """
 
     def __init__(
@@ -54,9 +55,10 @@ class Fit:
         *,
         now: State | None = None,
         statistics: float = 0.0,
+        mesh: Mesh | None = None,
     ):
         self.statistics, self.encodes = statistics, True
-        self.design = design
+        self.design, self.mesh = design, mesh
         self.median = np.int32(model.MEDIANS.index(design.median))
         self.bends = np.bool_(design.lens)
         self.moving = problem.moving(design.lens, design.median is not None)
@@ -85,16 +87,20 @@ class Fit:
         """What the fit lowers: the loss against that of `now`, the statistics, and the pull of the start."""
         return self._at(state).objective
 
-    def trials(self, state: State, jacobians: Sequence[Any] = ()) -> list[tuple[int, Chunk, Normal]]:
-        """All chunks rendered: which pair, the chunk, and what came of it."""
-        near = jacobians or [None] * len(self._chunks)
+    def trials(self, state: State, near: Any = None) -> list[tuple[int, Chunk, Normal]]:
+        """All chunks rendered: which pair, the chunk, and what came of it; `near` as of `spread.each`."""
+        parts, _ = self.each(lambda at: self._call(state, at[0], at[1], still=True), self._chunks, near)
+        return [(*at, part) for at, part in zip(self._chunks, parts)]
 
-        def one(at: tuple[int, Chunk], near: Any) -> tuple[int, Chunk, Normal]:
-            given = self.given(at[0])._replace(moving=np.zeros_like(self.moving))
-            part = self.normal(given, self.vector(state, at[0]), at[1], near)
-            return *at, part._replace(jacobian=None)  # zeros, and large
+    def each(self, call: Callable[[Any], Call], items: Sequence[Any], near: Any = None) -> Any:
+        """`spread.each` on the devices of this fit."""
+        return each(self.problem, call, items, self.mesh, near)
 
-        return together(one, self._chunks, near)
+    def _call(self, state: State, pair: int, chunk: Chunk, still: bool = False) -> Call:
+        given = self.given(pair)
+        if still:
+            given = given._replace(moving=np.zeros_like(self.moving))
+        return given, self.vector(state, pair), chunk
 
     @property
     def _chunks(self) -> list[tuple[int, Chunk]]:
@@ -128,11 +134,6 @@ class Fit:
         """The sums for the noise statistics as rounding leaves them, where the encoder did not round yet."""
         return np.asarray(sums, np.float64) if self._encodes(pair) else noise.rounded(sums)
 
-    def normal(self, given: Given, vector: np.ndarray, chunk: Chunk, near: Any = None) -> Normal:
-        """One chunk at a place."""
-        near = no_jacobian(self.problem) if near is None else near
-        return jax.block_until_ready(normal_equations(self.problem, given, vector, chunk, near))
-
     def vector(self, state: State, pair: int) -> np.ndarray:
         """That of one pair: camera, image and geometry."""
         return np.concatenate([state.camera, state.images[pair], state.places[pair]]).astype(np.float32)
@@ -151,7 +152,7 @@ class Fit:
         """The objective at a state, and its gradient with the Jacobians of a place nearby."""
         vector, total, weight = np.zeros(len(self._hold)), 0.0, 0.0
         sums = np.zeros_like(self.wanted)
-        for i, _, part in self.trials(state, near.jacobians if near else ()):
+        for i, _, part in self.trials(state, near.jacobians if near else None):
             total, weight = total + float(part.loss), weight + float(part.weight)
             sums = sums + self._eight_bits(i, part.sums)
             vector[self._index(i)] += np.asarray(part.chord)
@@ -168,19 +169,15 @@ class Fit:
         """The objective at a state, its gradient and its Gauss-Newton matrix."""
         size = len(self._hold)
         data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
-        sums, slopes, jacobians = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted))), []
-
-        def one(at: tuple[int, Chunk]) -> Normal:
-            return self.normal(self.given(at[0]), self.vector(state, at[0]), at[1])
-
-        for (i, _), part in zip(self._chunks, together(one, self._chunks)):
+        sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
+        parts, jacobians = self.each(lambda at: self._call(state, at[0], at[1]), self._chunks)
+        for (i, _), part in zip(self._chunks, parts):
             index = self._index(i)
             data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
             vector[index] += np.asarray(part.vector, np.float64)
             slopes[index] += np.asarray(part.slopes, np.float64)
             sums += self._eight_bits(i, part.sums)
             total, weight = total + float(part.loss), weight + float(part.weight)
-            jacobians.append(part.jacobian)
         rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
         jacobian = _slopes_of_misfit(sums, self.wanted, slopes)

@@ -52,7 +52,8 @@ class Equations:
     weight: float
     slopes: np.ndarray
     """How each noise statistic moves, (n, m)."""
-    jacobians: list[Any]
+    jacobians: Any
+    """As `spread.each` gives and takes them."""
 
 
 class Place(NamedTuple):

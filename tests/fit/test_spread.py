@@ -1,0 +1,97 @@
+"""A fit over many devices has the normal equations of one; two processes have the bits of one."""
+
+import copy
+import json
+import os
+import socket
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from jax.sharding import Mesh
+
+from jaxisp.errors import InputError
+from jaxisp.fit import Example, fit_dataset
+from jaxisp.fit.fitter import FIXED_NAMES
+from jaxisp.fit.journal import Journal
+from jaxisp.fit.search import Options, Search
+from jaxisp.fit.spread import agree
+from jaxisp.fit.tiles import prepare
+from jaxisp.io import open_dataset
+from jaxisp.recipe import Recipe
+from jaxisp.samples import PHONES, scenes, write_pairs
+
+WHAT = {"steps": 2, "demosaic": "demosaic_bilinear", "median": "none"}
+FLAGS = ["--steps", "2", "--demosaic", "demosaic_bilinear", "--median", "none"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pairs")
+    write_pairs(path, PHONES["a"], list(scenes((160, 224)))[:1])
+    return path
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return Mesh(np.asarray(jax.devices()), ("tiles",))
+
+
+@pytest.fixture(scope="module")
+def spread(folder, mesh):
+    return fit_dataset(folder, **WHAT, mesh=mesh)
+
+
+def test_eight_devices_give_the_equations_of_one(folder, mesh):
+    pair = open_dataset(folder).pairs[0].load()
+    shot = prepare(Example("scene", pair.raw, pair.picture, pair.jpeg))
+    options = Options(2, WHAT["demosaic"], WHAT["median"], "camera", (), FIXED_NAMES)
+    search = Search([shot], options, Journal.open(None, ""), lambda *_: None)
+    one, many = (copy.copy(search._fit(options.first)) for _ in range(2))
+    assert mesh.size == 8 and len(one._chunks) == 2  # six devices get what does not count
+    many.mesh = mesh
+    at, wanted = (fit.equations(search.origin) for fit in (many, one))
+    assert at.objective == pytest.approx(wanted.objective, rel=1e-6)
+    # rounding of 1e-6 of a picture, over the steps of the differences
+    np.testing.assert_allclose(at.matrix, wanted.matrix, atol=1e-5 * np.abs(wanted.matrix).max())
+    np.testing.assert_allclose(at.vector, wanted.vector, atol=1e-4 * np.abs(wanted.vector).max())
+    moved = search.origin.moved(np.full(len(at.vector), 1e-3))
+    places = [fit._at(moved, near) for fit, near in ((many, at), (one, wanted))]
+    assert places[0].objective == pytest.approx(places[1].objective, rel=1e-5)
+    assert np.abs(places[0].vector - places[1].vector).max() < 1e-3 * np.abs(places[1].vector).max()
+
+
+def test_two_processes_give_the_bits_of_one(folder, spread, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    out = tmp_path / "camera.toml"
+    command = [sys.executable, "-m", "jaxisp", "fit", folder, "-o", out, "--json", *FLAGS]
+    joined = ["--coordinator", f"localhost:{port}", "--cpu-devices", "4", "--processes", "2", "--process-id"]
+    processes = [
+        subprocess.Popen(
+            [*command, *joined, str(i)], env={**os.environ, "XLA_FLAGS": ""},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for i in range(2)
+    ]  # fmt: skip
+    said = [p.communicate(timeout=240) for p in processes]
+    assert [p.returncode for p in processes] == [0, 0], said
+    assert not said[1][0]  # the first says and writes it
+    assert json.loads(said[0][0])["camera"] == str(out)
+    assert_same_parameters(Recipe.load(out), spread.camera)
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] != ".") == ["camera.toml"]
+
+
+def assert_same_parameters(one, other):
+    for a, b in zip(*(jax.tree.leaves(camera.prior) for camera in (one, other)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_processes_that_see_different_pairs_are_refused(monkeypatch):
+    monkeypatch.setattr("jaxisp.fit.spread.process_allgather", lambda own: np.stack([own, own[::-1]]))
+    monkeypatch.setattr("jax.process_count", lambda: 2)
+    with pytest.raises(InputError, match="different pairs"):
+        agree("1f")
