@@ -12,9 +12,11 @@ def add_commands(commands: Any) -> None:
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG or clean+noisy pairs")
     command.add_argument("-o", "--out", required=True, metavar="DIR", help="for report.json and report.html")
     command.add_argument(
-        "--camera", metavar="CAMERA.toml", help="of RAW+JPEG pairs; otherwise a plain one is fitted"
+        "--camera", metavar="CAMERA.toml", help="the simulator, mosaic to picture; a plain one is fitted else"
     )
-    command.add_argument("--recipe", metavar="RECIPE", help="of clean+noisy pairs; not used yet")
+    command.add_argument(
+        "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
+    )
     command.add_argument("--exclude", default="", metavar="EFFECT,...", help="effects that are not tried")
 
 

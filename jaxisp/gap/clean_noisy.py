@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: the problem whose errors are differences of statistics, and its base."""
+"""Clean+noisy pairs: the problem whose errors are differences of statistics."""
 
 import copy
 import functools
@@ -10,22 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.gap import prepare
-from jaxisp.gap.effects import CLEAN_NOISY
 from jaxisp.gap.measured import Part, Split
 from jaxisp.gap.model import Choice, Model
-from jaxisp.gap.noisy_base import Camera, fit_mean
-from jaxisp.gap.noisy_codes import codes
-from jaxisp.gap.noisy_fit import fit_noise
+from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
-from jaxisp.gap.noisy_pairs import clean_pairs, scene_name, split_of
+from jaxisp.gap.noisy_pairs import scene_name
 from jaxisp.gap.noisy_start import noise_indices, placed, starts
 from jaxisp.gap.noisy_units import axis_of, emphasised, noise_only, repeats, tolerances, weights
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of
-from jaxisp.gap.which import Tick
-from jaxisp.io.datasets import Loaded
-from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 _REPLICATES = 4
 _FEWEST = 4  # scenes that tell how they differ
@@ -42,13 +35,17 @@ class StatisticsProblem:
     references: Mapping[int, float] = MappingProxyType({})
 
     def __init__(
-        self, model: Model, camera: Camera, pairs: Pairs, noise_free: np.ndarray, split: Split, seed: int
+        self,
+        model: Model,
+        pairs: Pairs,
+        noise_free: np.ndarray,
+        split: Split,
+        seen: Codes,
+        choices: Sequence[Choice] = (),
+        seed: int = 0,
     ) -> None:
         self.model, self.pairs, self.split, self.seed = model, pairs, split, seed
-        self.choices: Sequence[Choice] = [  # the demosaicker nearest to the pictures may imitate an effect
-            Choice({"demosaicking": Demosaicking(shares=shares)}, {})
-            for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
-        ]
+        self.choices = choices
         self.inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.mask = jnp.asarray(pairs.mask[self.inner], jnp.float32)
         self.base_picture = jnp.asarray(noise_free[self.inner])
@@ -56,8 +53,7 @@ class StatisticsProblem:
         self.weight = np.sqrt(np.broadcast_to(np.asarray(self.mask)[..., None], self.target.shape))
         self._frames = frames_of([scene_name(name) for name in pairs.names])
         self._maps = tuple(normalised_regressors(self.base_picture, self.mask, c) for c in range(3))
-        shape = (self.target.shape[1], self.target.shape[2])
-        self._codes = codes(model.shared, camera.cfa, camera.gains, shape, BORDER)
+        self._codes = seen
         self._weights, self._counted = weights(), np.ones_like(weights())
         self.fresh: Sequence[int] = noise_indices(model)
         self.real = self.measured(self.target)
@@ -246,29 +242,3 @@ def _p_value(mean_square: float) -> float:
     from scipy.stats import chi2
 
     return float(chi2.sf(4 * mean_square, 4))
-
-
-def clean_problem(
-    loaded: Sequence[Loaded], exclude: Sequence[str], seed: int, tick: Tick
-) -> tuple[StatisticsProblem, Split, dict[str, float], list[str], np.ndarray]:
-    """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics."""
-    pairs = clean_pairs(loaded)
-    split = split_of(pairs.names)
-    effects = prepare.candidates(CLEAN_NOISY, exclude)
-    tick(0, 3, "fitting the base")
-    file = loaded[0].jpeg
-    described = loaded[0].settings.raw
-    camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
-    pairs, noise_free = mean.pairs, to_steps(mean.rendered(mean.z))
-    model = camera.whole_model(mean.model.moved(mean.z), effects)
-    problem = StatisticsProblem(model, camera, pairs, noise_free, split, seed)
-    tick(0, 3, "fitting the noise")
-    fit_noise(problem, split.fit)
-    absorbed = dict.fromkeys(
-        ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level"), 0.0
-    )
-    stated = {"jpeg_quantization"} if file is not None else set()
-    if file is not None and file.subsampling != "4:4:4":
-        stated.add("chroma_subsampling")
-    offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
-    return problem, split, absorbed, offered, problem.floors

@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
 from jaxisp.gap.grain import grain_trial, with_grain
-from jaxisp.gap.measured import Split
+from jaxisp.gap.measured import Case, Split
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
@@ -71,19 +70,26 @@ def diagnose(
     Args:
         dataset: a folder of RAW+JPEG or clean+noisy pairs.
         camera: the simulator, mosaic to encoded sRGB, as `jaxisp.fit` makes it; its parameters are
-            believed. A plain camera is fitted to the pairs where none is given.
-        recipe: meant as the simulator of clean+noisy pairs; not used yet, which a warning says.
+            believed. A plain camera is fitted to the pairs where none is given. For clean+noisy pairs the
+            curve and matrix that take the clean picture to its sensor are fitted, and the sensor's noise,
+            unless the camera has noise of its own.
+        recipe: the simulator of clean+noisy pairs, encoded sRGB to encoded sRGB with a mosaic and its
+            demosaicking. Its stages, their order and its constants are believed, tone and colour
+            included. What it draws for each image it leaves open: that starts at its median and is fitted
+            within the range of its prior, one value for all pairs.
         exclude: names of effects that are not tried.
         seed: of the simulated noise.
         tick: called with (done, total, text).
 
     Raises:
-        InputError: no such folder, no usable pair, an unknown effect.
+        InputError: no such folder, no usable pair, an unknown effect, a simulator that cannot be a base
+            (no mosaic or demosaicking, stages drawn at random, another domain), a camera and a recipe at
+            once, a recipe for RAW+JPEG pairs.
     """
     clock = time.perf_counter()
-    if recipe is not None:
-        warnings.warn("diagnose: a recipe is not taken as the base yet; a plain one is fitted", stacklevel=2)
-    case, failed = _case(dataset, camera, exclude, seed, tick)
+    if camera is not None and recipe is not None:
+        raise InputError("give a camera or a recipe, not both: each is a whole simulator")
+    case, failed = _case(dataset, camera, recipe, exclude, seed, tick)
     problem, held = case.problem, list(case.split.held_out)
     before = float(np.nanmean(problem.units(problem.z)[held]))
     floor = float(min(case.floors[held].mean(), before))
@@ -107,7 +113,7 @@ def diagnose(
     report = {
         "schema": 1,
         "kind": case.kind,
-        "base": base_row(model, case.absorbed),
+        "base": base_row(model, case.absorbed, case.given, case.open_nodes),
         "pairs": {
             "fit": [problem.pairs.names[i] for i in case.split.fit],
             "held_out": [problem.pairs.names[i] for i in case.split.held_out],
@@ -129,46 +135,32 @@ def diagnose(
     return Diagnosis(report, pictures)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Case:
-    """What is diagnosed: the problem at its base, who is held out, and what may be its cause.
-
-    `stored` is what the file does to the pictures, where grain is to be told from it.
-    """
-
-    kind: str
-    problem: Any
-    split: Split
-    floors: np.ndarray
-    absorbed: dict[str, float]
-    offered: list[str]
-    stored: np.ndarray | None
-
-
 def _case(
-    dataset: str | Path, camera: Recipe | None, exclude: Sequence[str], seed: int, tick: Tick
-) -> tuple[_Case, list[tuple[str, str]]]:
+    dataset: str | Path,
+    camera: Recipe | None,
+    recipe: Recipe | None,
+    exclude: Sequence[str],
+    seed: int,
+    tick: Tick,
+) -> tuple[Case, list[tuple[str, str]]]:
     """The pairs read and the base put before them; and (file, reason) of what could not be used."""
     found = open_dataset(dataset)
+    if found.kind == RAW_JPEG and recipe is not None:
+        raise InputError(
+            f"{dataset}: a recipe simulates clean+noisy pairs, these are RAW+JPEG; give a camera (--camera)"
+        )
     loaded, failed = _load(found.pairs)
-    problem: Any
     if found.kind == RAW_JPEG:
         loaded, unlike = in_one_frame(loaded)
         failed += unlike
     if len(loaded) == 1:
         loaded = 2 * loaded  # its tiles are told apart by masks
     if found.kind == RAW_JPEG:
-        problem, split, absorbed, offered = _raw_problem(loaded, camera, exclude, tick)
-        stored = floor_difference(problem, [p.jpeg for p in loaded])
-        floors = floor_errors(problem, stored)
-    else:
-        from jaxisp.gap.clean_noisy import clean_problem
+        return _raw_case(loaded, camera, exclude, tick), failed
+    from jaxisp.gap.noisy_case import clean_case
 
-        problem, split, absorbed, offered, floors = clean_problem(loaded, exclude, seed, tick)
-        stored = None
-    if "film_grain" in exclude:
-        stored = None
-    return _Case(found.kind, problem, split, floors, absorbed, offered, stored), failed
+    is_camera = camera is not None
+    return clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera), failed
 
 
 NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
@@ -202,9 +194,7 @@ def halves(count: int) -> Split:
     return Split(tuple(range(0, count, 2)), tuple(range(1, count, 2)))
 
 
-def _raw_problem(
-    loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence[str], tick: Tick
-) -> tuple[Problem, Split, dict[str, float], list[str]]:
+def _raw_case(loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence[str], tick: Tick) -> Case:
     pairs = prepare.raw_pairs(loaded)
     split = halves(len(loaded))
     effects = prepare.candidates(RAW_JPEG, exclude)
@@ -230,7 +220,10 @@ def _raw_problem(
     if loaded[0].jpeg is not None and loaded[0].jpeg.subsampling != "4:4:4":
         stated.add("chroma_subsampling")
     offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
-    return problem, split, absorbed, offered
+    stored = floor_difference(problem, [p.jpeg for p in loaded])
+    floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
+    grain = None if "film_grain" in exclude else stored
+    return Case(RAW_JPEG, problem, split, floors, absorbed, offered, grain, given)
 
 
 def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:

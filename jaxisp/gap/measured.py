@@ -62,3 +62,27 @@ class Split:
 
     fit: tuple[int, ...]
     held_out: tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What is diagnosed: the problem at its base, who is held out, and what may be its cause.
+
+    Attributes:
+        floors: (N,) the gap of each pair that a right simulator would leave.
+        absorbed: what the base took up of each effect that is part of it.
+        offered: effects that are tried.
+        stored: what the file does to the pictures, where grain is to be told from it.
+        given: what the base is, where it was given; None where a plain one was fitted.
+        open_nodes: what of a given base was fitted beside its coordinates.
+    """
+
+    kind: str
+    problem: Any
+    split: Split
+    floors: np.ndarray
+    absorbed: dict[str, float]
+    offered: list[str]
+    stored: np.ndarray | None = None
+    given: str | None = None
+    open_nodes: tuple[str, ...] = ()

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxisp.camera import with_cfa
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.effects import Effect, Move
 from jaxisp.gap.staged import Kept, render
@@ -101,14 +102,15 @@ class Model:
             fields = changed.setdefault(c.node, {})
             if c.move.field not in fields:
                 fields[c.move.field] = np.array(getattr(self.shared[c.node], c.move.field), np.float32)
-            fields[c.move.field][c.move.index] = self._origin(c) + value
+            fields[c.move.field][c.move.index] = self.origin(c) + value
         params = dict(self.shared)
         for node, fields in changed.items():
             params[node] = dataclasses.replace(params[node], **fields)
         switches = {f"use_{name}" for name in self.effects} & set(params)
         return params | {s: Switch(on=np.float32(s.removeprefix("use_") in on)) for s in switches}
 
-    def _origin(self, c: Coordinate) -> float:
+    def origin(self, c: Coordinate) -> float:
+        """The parameter's value at z = 0."""
         if c.node in self.effects and f"use_{c.node}" in self.shared:
             return c.move.off
         return float(np.asarray(getattr(self.shared[c.node], c.move.field))[c.move.index])
@@ -129,6 +131,10 @@ class Model:
     def take(self, which: Sequence[int]) -> "Model":
         """The model of some of the pairs."""
         return dataclasses.replace(self, per_pair=_of_pairs(self.per_pair, which))
+
+    def with_shared(self, shared: Params) -> "Model":
+        """The model with other parameters at z = 0; the bounds of its coordinates stay."""
+        return dataclasses.replace(self, shared=shared)
 
     def chosen(self, choice: "Choice") -> "Model":
         """The model with a choice in place of its own."""
@@ -162,14 +168,16 @@ def build(
         keep_file: whether the rounding and compression at the end of the base stay.
     """
     nodes = list(base.nodes)
-    while _is_file(nodes[-1]) and not keep_file:
+    while is_file(nodes[-1]) and not keep_file:
         nodes.pop()
     present = {name for n in nodes for name in n.names()}
     sites = _sites(nodes)
+    cfa = next(str(s.options["cfa"]) for n in nodes for s in n.stages() if "cfa" in s.options)
     inserted: dict[int, list[Node]] = {}
     for effect in effects:
         if effect.name not in present:
-            inserted.setdefault(sites[effect.site], []).append(Gate(effect.node, f"use_{effect.name}"))
+            node = Gate(with_cfa(effect.node, cfa), f"use_{effect.name}")
+            inserted.setdefault(sites[effect.site], []).append(node)
     merged = [n for i in range(len(nodes) + 1) for n in (*inserted.get(i, ()), *nodes[i : i + 1])]
     chain = Chain(tuple(merged), "diagnosed")
     coordinates = {e.name: tuple(Coordinate(e.name, m) for m in e.moves) for e in effects}
@@ -188,7 +196,8 @@ def _off(params: Any, moves: Sequence[Move]) -> Any:
     return dataclasses.replace(params, **fields)
 
 
-def _is_file(node: Node) -> bool:
+def is_file(node: Node) -> bool:
+    """Whether a node does what a file does: it rounds or compresses."""
     return isinstance(node, Stage) and node.fn.__name__ in _FILE_STAGES
 
 
@@ -202,7 +211,7 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     camera = next(i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out == CAMERA) + 1
     encoded = next(i for i, n in enumerate(nodes) if n.domain_out == ENCODED and i >= camera)
     end = len(nodes)
-    while _is_file(nodes[end - 1]):
+    while is_file(nodes[end - 1]):
         end -= 1
     return {
         "scene": camera if scene < 0 else scene,

@@ -55,7 +55,7 @@ class Camera:
         """Scene to picture: mosaic, noise, demosaicking, white level, one matrix, sRGB, one curve, the
         file's compression."""
         mosaic, late = stage("mosaic_white_balance", cfa=self.cfa), stage("white_balance")
-        encoder, tables = self._encoder()
+        encoder, tables = encoder_of(self.file)
         nodes: list[Any] = [
             Stage(stage("color_matrix").fn, "primaries"),
             stage("mosaic", cfa=self.cfa),
@@ -74,15 +74,6 @@ class Camera:
         chain = Chain(tuple(nodes), "plain")
         return chain, chain.init() | balances(self.gains, self.late) | tables
 
-    def _encoder(self) -> tuple[Stage, Params]:
-        if self.file is None or self.file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
-            return stage("rounding"), {}
-        encoder = stage("jpeg_tables", subsampling=self.file.subsampling)
-        luma, chroma = (np.asarray(t, np.float32) for t in (self.file.luma_table, self.file.chroma_table))
-        return Stage(encoder.fn, "file", encoder.static), {
-            "file": JpegTables(luma_table=luma, chroma_table=chroma)
-        }
-
     def mean_model(self, params: Params) -> Model:
         """Without noise and file."""
         chain, own = self.chain()
@@ -97,12 +88,23 @@ class Camera:
         """The noisy base with every effect in it, off; its mean is that of `mean`."""
         chain, params = self.chain()
         shared = params | mean.shared
-        free = (*noise_freedom(shared), *_narrowed(plain_freedom()))
+        free = (*noise_freedom(shared), *narrowed(plain_freedom()))
         model = build(chain, shared, {}, free, effects, keep_file=True)
-        return dataclasses.replace(model, chain=_read_out(model.chain))
+        return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]))
 
 
-def _narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
+def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
+    """What the file did to the picture, by its header; rounding where that says nothing."""
+    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
+        return stage("rounding"), {}
+    encoder = stage("jpeg_tables", subsampling=file.subsampling)
+    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
+    return Stage(encoder.fn, "file", encoder.static), {
+        "file": JpegTables(luma_table=luma, chroma_table=chroma)
+    }
+
+
+def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
     """Bounds about where the mean was fitted by pixels: beside noise the best is a little elsewhere, and a
     few statistics must not take it far."""
     found = []
@@ -119,12 +121,12 @@ def balances(gains: tuple[float, float], late: bool) -> Params:
     return {name: WhiteBalance(gains=g) for name, g in zip(_BALANCES, order)}
 
 
-def _read_out(chain: Chain) -> Chain:
-    """The chain with the effects of the readout where the sensor is read."""
+def read_out(chain: Chain, after: str) -> Chain:
+    """The chain with the effects of the readout where the sensor is read: after this node."""
     wanted = [f"use_{name}" for name in _READOUT]
     moved = sorted((n for n in chain.nodes if n.name in wanted), key=lambda n: wanted.index(n.name))
     nodes = [n for n in chain.nodes if n.name not in wanted]
-    at = 1 + [n.name for n in nodes].index(_BALANCES[0])
+    at = 1 + [n.name for n in nodes].index(after)
     return Chain((*nodes[:at], *moved, *nodes[at:]), chain.name)
 
 

@@ -1,39 +1,51 @@
 """Clean+noisy pairs: the noise of the base, fitted to the statistics, and its mean beside it."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_base import NOISE, balances, noise_freedom
+from jaxisp.gap.noisy_start import noise_indices
 from jaxisp.gap.noisy_units import noise_only
 from jaxisp.gap.solve import fit
 
+Rebase = Callable[[Model, np.ndarray], Model]
+"""Puts the base's z into its parameters."""
 
-def fit_noise(problem: Any, fit_on: Sequence[int]) -> None:
+
+def fit_noise(problem: Any, fit_on: Sequence[int], rebase: Rebase) -> None:
     """The noise that explains the statistics best, then all that is free in the base. Leaves the problem at
     z = 0 of the model that is found, in its final units."""
-    noise, every = list(range(len(NOISE))), np.ones_like(noise_only())
+    every = np.ones_like(noise_only())
+
+    def settle(which: list[int], steps: int, keep: bool = False) -> None:
+        _settle(problem, which, fit_on, rebase, steps, keep)
+
     problem.count(noise_only())
-    _settle(problem, noise, fit_on, steps=5)
+    settle(noise_indices(problem.model), steps=5)
     problem.count(every)
     problem.set_unit()
-    _settle(problem, problem.model.base_indices, fit_on, steps=3, keep=True)
+    settle(problem.model.base_indices, steps=3, keep=True)
     problem.set_unit(emphasise=True)
     problem.count(noise_only())
-    _settle(problem, noise, fit_on, steps=3)
+    settle(noise_indices(problem.model), steps=3)
     problem.count(every)
 
 
-def _settle(problem: Any, which: list[int], fit_on: Sequence[int], steps: int, keep: bool = False) -> None:
+def _settle(
+    problem: Any, which: list[int], fit_on: Sequence[int], rebase: Rebase, steps: int, keep: bool
+) -> None:
     """Fit, and make where that ends the model's z = 0; `keep` works with the columns of the start."""
+    if not which:
+        return
     part, seen = problem.take(fit_on), range(len(fit_on))
     part.columns = {}
     part.compute(which)
     fit(part, which, seen, steps=steps, fresh=[] if keep else None)
-    problem.model = rebased(problem.model, part.z)
+    problem.model = rebase(problem.model, part.z)
     problem.move_to(np.zeros(len(problem.z)))
 
 

@@ -33,16 +33,23 @@ def scene_name(name: str) -> str:
     return re.sub(r"\.f\d{2,}$", "", name)
 
 
-def clean_pairs(loaded: Sequence[Loaded]) -> Pairs:
+def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
+    """The pairs, cropped alike and laid on each other; what the file clipped does not count.
+
+    Args:
+        loaded: as read.
+        smoothing: standard deviation [px] over which a picture is averaged before it is looked at for that.
+            A simulator that clips as the camera does must not be compared where the camera's own noise
+            happened to clip: its noise is another.
+    """
     loaded = [framed(p) for p in {p.name: p for p in loaded}.values()]
     crops = prepare.common_crop(loaded)
     clean = np.stack([_linear(p)[c] for p, c in zip(loaded, crops)])
     pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
     clean = np.stack([laid_under(s, p) for s, p in zip(clean, pictures)])
     names = tuple(p.name for p in loaded)
-    return prepare.in_halves(
-        Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(pictures))
-    )
+    seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
+    return prepare.in_halves(Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(seen)))
 
 
 def framed(pair: Loaded) -> Loaded:

@@ -6,17 +6,18 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
+from jaxisp.pipeline import signature
 
 _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
              "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip
 """What the square of an effect's strength adds to the variance in the dark."""
 _TIMES = (0.2, 0.4, 0.8, 1.6, 3.2)
-_NODE = "balanced_noise"
 
 
 def noise_indices(model: Model) -> list[int]:
     """The coordinates of the base's own noise."""
-    return [i for i, c in enumerate(model.base) if c.node == _NODE]
+    random = {s.name for s in model.chain.stages() if signature(s.fn).stochastic}
+    return [i for i, c in enumerate(model.base) if c.node in random]
 
 
 def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
@@ -24,9 +25,9 @@ def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
     moved = z.copy()
     moved[i] = value
     share = _VARIANCE.get(model.coordinates[i].node, 0.0)
-    read = _index(model, "read")
+    read = _index(model, "read", "std")
     if share and read is not None:
-        start = float(model.shared[_NODE].read)
+        start = _start(model, read)
         least = start + model.ranges[0, read]
         square = (start + z[read]) ** 2 + share * (z[i] ** 2 - value**2)
         moved[read] = np.clip(np.sqrt(max(square, least**2)), least, None) - start
@@ -50,13 +51,18 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
 def _with_less(model: Model, z: np.ndarray, share: float) -> np.ndarray:
     """The point with both noises of the base at a share of their variance."""
     moved = z.copy()
-    for field, of in (("shot", share), ("read", np.sqrt(share))):
-        i = _index(model, field)
+    for fields, of in ((("shot",), share), (("read", "std"), np.sqrt(share))):
+        i = _index(model, *fields)
         if i is not None:
-            start = float(getattr(model.shared[_NODE], field))
+            start = _start(model, i)
             moved[i] = np.clip(of * (start + z[i]) - start, *model.ranges[:, i])
     return moved
 
 
-def _index(model: Model, field: str) -> int | None:
-    return next((i for i in noise_indices(model) if model.base[i].move.field == field), None)
+def _index(model: Model, *fields: str) -> int | None:
+    return next((i for i in noise_indices(model) if model.base[i].move.field in fields), None)
+
+
+def _start(model: Model, i: int) -> float:
+    c = model.base[i]
+    return float(getattr(model.shared[c.node], c.move.field))

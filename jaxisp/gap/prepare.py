@@ -168,7 +168,7 @@ def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Eff
     stated = [name for name in camera.meta.get("from_file", []) if name in own[0]]
     per_pair = {name: jax.tree.map(lambda *v: np.stack(v), *(o[name] for o in own)) for name in stated}
     shared = {name: value for name, value in own[0].items() if name not in stated}
-    return build(_with_choice(chain), shared, per_pair, [], effects)
+    return build(with_choice(chain), shared, per_pair, [], effects)
 
 
 def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
@@ -179,7 +179,7 @@ def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
     return dataclasses.replace(model, shared=model.shared | {name: moved})
 
 
-def _with_choice(chain: Chain) -> Chain:
+def with_choice(chain: Chain) -> Chain:
     """The chain with its demosaicking stage as a choice of all, so that another can be tried."""
     algorithms = {fn.__name__: name for name, fn in DEMOSAICKERS.items()}
     nodes = []

@@ -1,7 +1,7 @@
 """The rows of report.json: the base, a cause, the ranking."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import erfc, sqrt
 from typing import Any
 
@@ -12,23 +12,28 @@ from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial
 
 
-def base_row(model: Model, absorbed: dict[str, float]) -> dict[str, Any]:
-    names = {c.node for c in model.base} | {"demosaicking"}
+def base_row(
+    model: Model, absorbed: dict[str, float], given: str | None = None, open_nodes: Iterable[str] = ()
+) -> dict[str, Any]:
+    """The base: its stages, its fitted numbers, what it absorbed, and what it is where it was given."""
+    names = {c.node for c in model.base} | {"demosaicking", *open_nodes}
     fitted = {
         name: {f.name: np.asarray(getattr(model.shared[name], f.name)).tolist()
                for f in dataclasses.fields(model.shared[name])}
         for name in sorted(names) if name in model.shared
     }  # fmt: skip
     stages = [n.name for n in model.chain.nodes if not n.name.startswith("use_")]
-    return {"stages": stages, "fitted": fitted, "absorbed": absorbed}
+    row = {"stages": stages, "fitted": fitted, "absorbed": absorbed}
+    return row if given is None else row | {"given": given}
 
 
 def cause_row(trial: Trial, alike: list[str], scale: float, tried: int, model: Model) -> dict[str, Any]:
     effect = EFFECTS[trial.effect]
     params: dict[str, Any] = dict(trial.params)
-    for i, move in () if params else zip(model.indices([trial.effect]), effect.moves):
-        key = move.field + "".join(f"[{n}]" for n in move.index)
-        params[key] = round(float(move.off + trial.z[i]), 5)
+    for i in () if params else model.indices([trial.effect]):
+        moved = model.coordinates[i]
+        key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
+        params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
     spread = max((trial.high - trial.low) / 3.29, 1e-6)
     return {
         "effect": trial.effect,

@@ -1,0 +1,136 @@
+"""Clean+noisy pairs: from the data set to the problem at its base, plain or given."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxisp.gap import prepare
+from jaxisp.gap.clean_noisy import StatisticsProblem
+from jaxisp.gap.effects import CLEAN_NOISY, Effect
+from jaxisp.gap.measured import Case, Split
+from jaxisp.gap.model import Choice
+from jaxisp.gap.noisy_base import Camera, fit_mean
+from jaxisp.gap.noisy_camera import check_camera, of_camera
+from jaxisp.gap.noisy_codes import Codes, codes
+from jaxisp.gap.noisy_fit import fit_noise, rebased
+from jaxisp.gap.noisy_given import Given, of_recipe
+from jaxisp.gap.noisy_open import fit_open
+from jaxisp.gap.noisy_pairs import clean_pairs, split_of
+from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
+from jaxisp.gap.which import Tick
+from jaxisp.io.datasets import Loaded
+from jaxisp.pipeline import Params
+from jaxisp.recipe import Recipe
+from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
+
+_ABSORBED = ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level")
+"""What the plain base takes up."""
+_SMOOTHING = 2.0
+_UNLIKE = 0.25
+"""Logarithm of the exposure by which a scene differs from the others beyond what is the fit's error."""
+
+
+def clean_case(
+    loaded: Sequence[Loaded],
+    simulator: Recipe | None,
+    exclude: Sequence[str],
+    seed: int,
+    tick: Tick,
+    *,
+    is_camera: bool = False,
+) -> Case:
+    """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics.
+
+    A recipe is believed in what it has for constants, and fitted in what it draws. A plain base is fitted
+    before it all the same: it says how each scene was exposed, how its photosites lie, and roughly how to get
+    from a picture back to what the sensor read. A camera, mosaic to picture, is believed; the curve and the
+    matrix that take the clean picture to what its sensor saw are fitted, and the sensor's noise.
+
+    Args:
+        loaded: the pairs.
+        simulator: the base; a plain one is fitted where there is none.
+        exclude: effects that are not tried.
+        seed: of the simulated noise.
+        tick: called with (done, total, text).
+        is_camera: whether the simulator takes a mosaic, not an encoded picture.
+
+    Raises:
+        InputError: no usable pair, an unknown effect, a simulator that cannot be a base.
+    """
+    pairs = clean_pairs(loaded, _SMOOTHING if simulator else 0.0)
+    split = split_of(pairs.names)
+    effects = prepare.candidates(CLEAN_NOISY, exclude)
+    file, described = loaded[0].jpeg, loaded[0].settings.raw
+    if simulator is not None:  # a fault here should not cost a fit
+        check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
+    tick(0, 3, "fitting the base")
+    camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
+    stated = {"jpeg_quantization"} if file is not None else set()
+    if file is not None and file.subsampling != "4:4:4":
+        stated.add("chroma_subsampling")
+    if simulator is None:
+        case = _plain(camera, mean, split, effects, seed, tick)
+    else:
+        if is_camera:
+            given, pairs = of_camera(simulator, effects, camera, mean, split.fit)
+        else:
+            given, pairs = of_recipe(simulator, effects, camera.cfa, file), _believed(pairs, mean.pairs)
+        seen = _codes(mean.model.moved(mean.z).shared, camera, pairs)
+        case = _given(given, pairs, seen, split, effects, seed, tick)
+    return dataclasses.replace(case, offered=[name for name in case.offered if name not in stated])
+
+
+def _plain(
+    camera: Camera, mean: Problem, split: Split, effects: Sequence[Effect], seed: int, tick: Tick
+) -> Case:
+    model = camera.whole_model(mean.model.moved(mean.z), effects)
+    seen = _codes(model.shared, camera, mean.pairs)
+    choices = [  # the demosaicker nearest to the pictures may imitate an effect
+        Choice({"demosaicking": Demosaicking(shares=shares)}, {})
+        for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
+    ]
+    problem = StatisticsProblem(
+        model, mean.pairs, to_steps(mean.rendered(mean.z)), split, seen, choices, seed
+    )
+    tick(0, 3, "fitting the noise")
+    fit_noise(problem, split.fit, rebased)
+    offered = [e.name for e in effects if e.name not in _ABSORBED]
+    return Case(CLEAN_NOISY, problem, split, problem.floors, dict.fromkeys(_ABSORBED, 0.0), offered)
+
+
+def _given(
+    given: Given,
+    pairs: Pairs,
+    seen: Codes,
+    split: Split,
+    effects: Sequence[Effect],
+    seed: int,
+    tick: Tick,
+) -> Case:
+    model, offered, absorbed = given.whole_model(effects)
+    problem = StatisticsProblem(model, pairs, given.noise_free(pairs.light), split, seen, seed=seed)
+    tick(0, 3, "fitting what the simulator leaves open")
+    fit_open(problem, given.open, split.fit)
+    problem.model = given.rebased(problem.model, problem.z)
+    fit_noise(problem, split.fit, given.rebased)
+    taken = dict.fromkeys(absorbed, 0.0)
+    about, names = given.about, tuple(sorted(given.fitted))
+    return Case(CLEAN_NOISY, problem, split, problem.floors, taken, offered, None, about, names)
+
+
+def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
+    """The pairs as a simulator takes them that is believed: exposed scene by scene only where the plain base
+    found scenes to differ clearly. It errs by several per cent where noise is clipped at black."""
+    light, found = (np.asarray(p.light, np.float64).mean((1, 2)) + 1e-9 for p in (pairs, exposed))
+    gains = np.log(found / light)
+    common = gains.mean()
+    if np.abs(gains - common).max() > _UNLIKE:
+        return exposed
+    factor = np.exp(common) if abs(common) > np.log(2) else 1.0  # a clean picture tens of times as dark
+    return dataclasses.replace(pairs, light=pairs.light * np.float32(factor))
+
+
+def _codes(shared: Params, camera: Camera, pairs: Pairs) -> Codes:
+    height, width = (n - 2 * BORDER for n in pairs.mask.shape[1:])
+    return codes(shared, camera.cfa, camera.gains, (height, width), BORDER)
