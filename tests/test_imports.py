@@ -20,8 +20,9 @@ LAYERS = [
     {"serialize", "strips"},
     {"recipe"},
     {"recipes", "camera", "report"},
-    {"catalogue", "explore", "generate", "fit", "data", "models", "gap"},
+    {"catalogue", "explore", "generate", "fit", "data", "models"},
     {"train"},
+    {"gap"},
     {"demo"},
     {"cli"},
 ]

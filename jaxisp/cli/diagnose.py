@@ -18,10 +18,16 @@ def add_commands(commands: Any) -> None:
         "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
     )
     command.add_argument("--exclude", default="", metavar="EFFECT,...", help="effects that are not tried")
+    command.add_argument(
+        "--downstream",
+        action="store_true",
+        help="train small denoisers without and with the effects found, measured on held-out pairs",
+    )
+    command.add_argument("--downstream-steps", type=int, default=500, metavar="N", help="of each (500)")
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.gap import diagnose
+    from jaxisp.gap import Downstream, diagnose
     from jaxisp.io import output_folder
     from jaxisp.recipe import Recipe
     from jaxisp.recipes import find_recipe
@@ -30,9 +36,16 @@ def run(arguments: Namespace) -> int:
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     recipe = find_recipe(arguments.recipe) if arguments.recipe else None
     exclude = [name for name in arguments.exclude.split(",") if name]
+    how = Downstream(arguments.downstream_steps, keep=Path(arguments.out) / "downstream.json")
     with progress("diagnosing") as tick:
         found = diagnose(
-            arguments.dataset, camera, recipe=recipe, exclude=exclude, seed=arguments.seed, tick=tick
+            arguments.dataset,
+            camera,
+            recipe=recipe,
+            exclude=exclude,
+            downstream=how if arguments.downstream else None,
+            seed=arguments.seed,
+            tick=tick,
         )
     page = found.save(arguments.out)
     if arguments.json:
@@ -48,5 +61,18 @@ def run(arguments: Namespace) -> int:
     ]  # fmt: skip
     if rows:
         print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
+    _print_downstream(found.report.get("downstream"))
     print(f"{page} in {found.report['seconds']:.0f} s")
     return 0
+
+
+def _print_downstream(found: dict[str, Any] | None) -> None:
+    if found is None:
+        return
+    if "skipped" in found:
+        print(f"downstream: {found['skipped']}")
+        return
+    rows = [("no denoiser", f"{found['input']['psnr']:.2f}", "", f"{found['input']['ssim']:.4f}")]
+    for name, arm in found["arms"].items():
+        rows.append((name, f"{arm['psnr_mean']:.2f}", f"{arm['psnr_spread']:.2f}", f"{arm['ssim_mean']:.4f}"))
+    print_table(("trained on pairs", "PSNR [dB]", "spread", "SSIM"), rows)

@@ -2,5 +2,15 @@
 
 from jaxisp.gap.diagnose import Diagnosis, diagnose, diagnose_folder
 from jaxisp.gap.effects import EFFECTS, Effect, Move, register_effect
+from jaxisp.gap.measured import Downstream
 
-__all__ = ["EFFECTS", "Diagnosis", "Effect", "Move", "diagnose", "diagnose_folder", "register_effect"]
+__all__ = [
+    "EFFECTS",
+    "Diagnosis",
+    "Downstream",
+    "Effect",
+    "Move",
+    "diagnose",
+    "diagnose_folder",
+    "register_effect",
+]

@@ -14,7 +14,7 @@ from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
 from jaxisp.gap.grain import grain_trial, with_grain
-from jaxisp.gap.measured import Case, Split
+from jaxisp.gap.measured import Case, Downstream, Split
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
@@ -62,6 +62,7 @@ def diagnose(
     *,
     recipe: Recipe | None = None,
     exclude: Sequence[str] = (),
+    downstream: Downstream | None = None,
     seed: int = 0,
     tick: Tick = lambda done, total, text: None,
 ) -> Diagnosis:
@@ -78,18 +79,20 @@ def diagnose(
             included. What it draws for each image it leaves open: that starts at its median and is fitted
             within the range of its prior, one value for all pairs.
         exclude: names of effects that are not tried.
+        downstream: how to train small denoisers without and with the accepted effects, measured on the
+            held-out pairs; needs clean+noisy pairs, two scenes or more. None: that is left out.
         seed: of the simulated noise.
         tick: called with (done, total, text).
 
     Raises:
         InputError: no such folder, no usable pair, an unknown effect, a simulator that cannot be a base
             (no mosaic or demosaicking, stages drawn at random, another domain), a camera and a recipe at
-            once, a recipe for RAW+JPEG pairs.
+            once, a recipe for RAW+JPEG pairs, or `downstream`.
     """
     clock = time.perf_counter()
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
-    case, failed = _case(dataset, camera, recipe, exclude, seed, tick)
+    case, failed = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
     problem, held = case.problem, list(case.split.held_out)
     before = float(np.nanmean(problem.units(problem.z)[held]))
     floor = float(min(case.floors[held].mean(), before))
@@ -130,6 +133,9 @@ def diagnose(
         "unexplained": _unexplained(problem, held, after, before, floor, scale),
         "seconds": 0.0,
     }  # fmt: skip
+    if downstream is not None:
+        models = {"without": (model, start), "with": (problem.model, problem.z)}
+        report["downstream"] = _trained(case, models, downstream, tick) if causes else NOTHING_TO_TRAIN
     pictures |= _pictures(problem, held[0], "after") if causes else {"after": None, "residual_after": None}
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
@@ -139,6 +145,7 @@ def _case(
     dataset: str | Path,
     camera: Recipe | None,
     recipe: Recipe | None,
+    downstream: Downstream | None,
     exclude: Sequence[str],
     seed: int,
     tick: Tick,
@@ -148,6 +155,11 @@ def _case(
     if found.kind == RAW_JPEG and recipe is not None:
         raise InputError(
             f"{dataset}: a recipe simulates clean+noisy pairs, these are RAW+JPEG; give a camera (--camera)"
+        )
+    if found.kind == RAW_JPEG and downstream is not None:
+        raise InputError(
+            f"{dataset}: denoisers (--downstream) are measured against clean pictures, which RAW+JPEG pairs "
+            "do not have; give clean+noisy pairs"
         )
     loaded, failed = _load(found.pairs)
     if found.kind == RAW_JPEG:
@@ -170,6 +182,15 @@ NULL_DROP = {RAW_JPEG: 0.03, "clean+noisy": 0.12}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
+
+
+NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
+
+
+def _trained(case: Case, models: dict[str, Any], how: Downstream, tick: Tick) -> dict[str, Any]:
+    from jaxisp.gap.downstream import measure_downstream
+
+    return measure_downstream(case, models, how, tick)
 
 
 def diagnose_folder(folder: str | Path, **options: Any) -> dict[str, Any]:

@@ -3,10 +3,12 @@
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from jaxisp.errors import InputError
 from jaxisp.gap.model import Choice, Model
 
 
@@ -75,6 +77,7 @@ class Case:
         stored: what the file does to the pictures, where grain is to be told from it.
         given: what the base is, where it was given; None where a plain one was fitted.
         open_nodes: what of a given base was fitted beside its coordinates.
+        reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
     """
 
     kind: str
@@ -86,3 +89,24 @@ class Case:
     stored: np.ndarray | None = None
     given: str | None = None
     open_nodes: tuple[str, ...] = ()
+    reference: np.ndarray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Downstream:
+    """How the denoisers are trained.
+
+    Attributes:
+        steps: updates of each, on 8 patches of 48x48 px.
+        seeds: one denoiser an arm and seed: of its first weights and its patches.
+        keep: a file for the figures of denoisers that are done: a second call with the same data and
+            simulators trains those that are missing only. None: nothing is kept.
+    """
+
+    steps: int = 500
+    seeds: tuple[int, ...] = (0, 1, 2)
+    keep: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or not self.seeds:
+            raise InputError(f"downstream: {self.steps} steps, {len(self.seeds)} seeds; expected 1 or more")

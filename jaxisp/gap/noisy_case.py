@@ -3,6 +3,8 @@
 import dataclasses
 from collections.abc import Sequence
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.gap import prepare
@@ -20,7 +22,7 @@ from jaxisp.gap.noisy_pairs import clean_pairs, split_of
 from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
 from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded
-from jaxisp.pipeline import Params
+from jaxisp.pipeline import Params, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
@@ -78,7 +80,23 @@ def clean_case(
             given, pairs = of_recipe(simulator, effects, camera.cfa, file), _believed(pairs, mean.pairs)
         seen = _codes(mean.model.moved(mean.z).shared, camera, pairs)
         case = _given(given, pairs, seen, split, effects, seed, tick)
-    return dataclasses.replace(case, offered=[name for name in case.offered if name not in stated])
+    believed = simulator is not None and not is_camera
+    reference = _toned(case.problem.pairs.light, None if believed else mean)
+    offered = [name for name in case.offered if name not in stated]
+    return dataclasses.replace(case, offered=offered, reference=reference)
+
+
+def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
+    """(N, H, W, 3) encoded sRGB in [0, 1]: clean light in the tones that a base has for it, pixel by pixel,
+    where those are not the clean picture's own."""
+    oetf, curve = stage("srgb_oetf"), stage("spline_curve")
+    if mean is None:
+        return np.clip(np.asarray(oetf.fn(light)), 0, 1)
+    shared = mean.model.moved(mean.z).shared
+    matrix = shared["color_matrix"].matrix @ shared["primaries"].matrix
+    linear = mean.pairs.light @ jnp.asarray(matrix, jnp.float32).T
+    encoded = jax.vmap(lambda x: curve.fn(shared["tone_curve"], oetf.fn(x)))(linear)
+    return np.clip(np.asarray(encoded), 0, 1)
 
 
 def _plain(

@@ -20,6 +20,7 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 
 LARGEST = 512
+TILES = " ("  # after the name of a pair that is alone
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
 
@@ -63,7 +64,7 @@ def in_halves(pairs: Pairs) -> Pairs:
         return pairs
     y, x = np.indices(pairs.mask.shape[1:])
     even = (y // 64 + x // 64) % 2 == 0
-    names = tuple(f"{pairs.names[0]} ({which} tiles)" for which in ("even", "odd"))
+    names = tuple(f"{pairs.names[0]}{TILES}{which} tiles)" for which in ("even", "odd"))
     twice = np.concatenate([pairs.pictures] * 2)
     return Pairs(names, jnp.concatenate([pairs.light] * 2), twice, np.stack([even, ~even]) & pairs.mask)
 

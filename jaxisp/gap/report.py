@@ -10,6 +10,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from jaxisp.gap.report_downstream import downstream_part
 from jaxisp.gap.report_plots import curve, data_uri, spectrum_picture
 from jaxisp.io.files import atomic_write, output_folder
 
@@ -85,6 +86,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         causes=[_cause(c) for c in report["causes"]],
         left=_left(report["unexplained"]),
         next=_next(report["causes"]),
+        downstream=downstream_part(report.get("downstream")),
         data=_data(report),
     )
 
@@ -137,13 +139,10 @@ def _any(names: Sequence[str]) -> str:
 def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     values = [gap["before"], gap["after"], gap["floor"], *gap["ci"]]
     top = max((v for v in values if _finite(v)), default=0) * 1.02 or 1
-    rows = [
-        ("before", gap["before"], None),
-        ("after", gap["after"], gap["ci"]),
-        ("floor", gap["floor"], None),
-    ]
+    floor = ("floor", gap["floor"], None)
+    rows = [("before", gap["before"], None), ("after", gap["after"], gap["ci"]), floor]
     if not changed:
-        rows = [("gap", gap["before"], gap["ci"]), rows[-1]]
+        rows = [("gap", gap["before"], gap["ci"]), floor]
     return [
         _bar(name, value, top, _number(value) + (f" [{_number(ci[0])}, {_number(ci[1])}]" if ci else ""), ci)
         | {"kind": name}
@@ -226,6 +225,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     absorbed = ", ".join(f"{_words(n)} {_percent(s)}" for n, s in base["absorbed"].items())
     failed = "; ".join(f"{f['file']}: {f['reason']}" for f in pairs.get("failed", ()))
     rows = [
+        ("simulator", base.get("given", "")),
         ("base", ", ".join(map(_words, base["stages"]))),
         ("fitted in it", ", ".join(map(_words, base["fitted"]))),
         ("taken up by it", absorbed or "nothing of note"),
