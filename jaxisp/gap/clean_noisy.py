@@ -14,7 +14,7 @@ from jaxisp.gap.measured import Part, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
-from jaxisp.gap.noisy_pairs import scene_name
+from jaxisp.gap.noisy_pairs import by_scene, scene_name
 from jaxisp.gap.noisy_start import noise_indices, placed, starts
 from jaxisp.gap.noisy_units import axis_of, emphasised, noise_only, repeats, tolerances, weights
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
@@ -135,8 +135,12 @@ class StatisticsProblem:
         return found
 
     def units(self, z: np.ndarray) -> np.ndarray:
-        """(N, 1) each pair's part in the error of its half: an interval is drawn over pairs."""
+        """(N, 1) each pair's part in the error of its half."""
         return self.errors(z)[:, None]
+
+    def clustered(self, values: np.ndarray, which: Sequence[int]) -> np.ndarray:
+        """(scenes, frames) values (N, 1) of these pairs, for intervals over what is independent."""
+        return by_scene(values, [self.pairs.names[i] for i in which])
 
     def errors(self, z: np.ndarray) -> np.ndarray:
         """(N,) each pair's part in the square of its half's mean difference, the mean of these parts."""

@@ -103,7 +103,10 @@ def diagnose(
     start, model = problem.z.copy(), problem.model
     most = MOST_CAUSES if before >= floor * (1 + NULL_DROP[case.kind]) else 0  # nothing could be accepted
     enough = LEAST_CLOSED[case.kind] or -np.inf
-    causes, trials, promises = search(problem, case.offered, case.split, scale, least, most, tick, enough)
+    apart = APART[case.kind] * floor / scale
+    causes, trials, promises = search(
+        problem, case.offered, case.split, scale, least, most, tick, enough, apart
+    )
     if case.stored is not None:
         grain = grain_trial(problem, case.stored, case.split, scale, least)
         causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
@@ -180,6 +183,9 @@ NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
 and its order of steps are not quite the base's. Set on a few development cameras, see docs/diagnosis.md."""
 NULL_DROP = {RAW_JPEG: 0.03, "clean+noisy": 0.12}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
+APART = {RAW_JPEG: np.inf, "clean+noisy": NULL_EXCESS["clean+noisy"]}
+"""By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
+statistics by what is harmless, in pixels by a share of the gap only."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
 
@@ -257,7 +263,7 @@ def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _interval(problem: Any, z: np.ndarray, held: Sequence[int]) -> list[float]:
-    return list(interval(problem.units(z)[list(held)], 1.0))
+    return list(interval(problem.clustered(problem.units(z)[list(held)], held), 1.0))
 
 
 def _unexplained(

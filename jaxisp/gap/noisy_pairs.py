@@ -33,6 +33,18 @@ def scene_name(name: str) -> str:
     return re.sub(r"\.f\d{2,}$", "", name)
 
 
+def by_scene(values: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(N, 1) values of pictures as (scenes, frames), NaN where a scene has fewer frames than another: frames
+    tell of one scene only, however many they are."""
+    scenes = [scene_name(name) for name in names]
+    most = max(scenes.count(s) for s in scenes)
+    found = np.full((len(set(scenes)), most), np.nan)
+    for row, scene in enumerate(dict.fromkeys(scenes)):
+        own = [float(v[0]) for v, s in zip(values, scenes) if s == scene]
+        found[row, : len(own)] = own
+    return found
+
+
 def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
     """The pairs, cropped alike and laid on each other; what the file clipped does not count.
 

@@ -68,7 +68,7 @@ def refit(problem: Measured, effect: str, split: Split, scale: float, least: flo
     after = held.units(part.z)
     drop = harmless - after
     lost = float(np.nanmean(drop))
-    low, high = interval(drop, scale)
+    low, high = interval(problem.clustered(drop, split.held_out), scale)
     chosen = None if choice is None else problem.choices[choice]
     start = float(np.nanmean(before))
     return Trial(effect, part.z, start, start - lost, lost / scale, low, high, least, chosen)

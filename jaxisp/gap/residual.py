@@ -127,6 +127,10 @@ class Problem:
         """(N, U) mean square residual of each tile, scaled so that the mean over tiles is the pair's."""
         return self.tiled((((self.target - self.picture(z)) * self.weight) ** 2).sum(-1), side)
 
+    def clustered(self, values: np.ndarray, which: Sequence[int]) -> np.ndarray:
+        """(N, U) values of these pairs: all are taken for independent."""
+        return values
+
     def tiled(self, square: np.ndarray, side: int = 60) -> np.ndarray:
         """(N, U) means over tiles of (N, h, w) weighted squares, scaled likewise."""
         h, w = square.shape[1:]

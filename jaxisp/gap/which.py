@@ -71,9 +71,15 @@ def best(trials: Sequence[Trial]) -> Trial | None:
     return first
 
 
-def lookalikes(winner: Trial, trials: Sequence[Trial]) -> list[str]:
-    """Effects whose closure these pairs cannot tell from the winner's."""
-    margin = max(0.2 * winner.closed, 0.5 * (winner.high - winner.low))
+def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) -> list[str]:
+    """Effects whose closure these pairs cannot tell from the winner's.
+
+    Args:
+        winner: the best of the trials.
+        trials: of one step.
+        apart: shares that differ by more are told apart, unless the winner's own interval says otherwise.
+    """
+    margin = max(min(0.2 * winner.closed, apart), 0.5 * (winner.high - winner.low))
     return [t.effect for t in trials if t.effect != winner.effect and t.closed > winner.closed - margin]
 
 
@@ -89,11 +95,13 @@ def search(
     most: int,
     tick: Tick,
     enough: float = -np.inf,
+    apart: float = np.inf,
 ) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
     """Forward steps: the best effect is added and fitted, and all others are tried again.
 
     Args:
         enough: the share of the gap that no other effect is looked for to close.
+        apart: of `lookalikes`.
 
     Returns:
         the accepted trials with their look-alikes, in order, at most so many; the trials of the first step;
@@ -117,7 +125,7 @@ def search(
         winner = best(trials)
         if winner is None or (not causes and winner.closed < LEADING):
             break
-        causes.append((winner, lookalikes(winner, trials)))
+        causes.append((winner, lookalikes(winner, trials, apart)))
         left.remove(winner.effect)
         problem.move_to(winner.z)
         if winner.choice is not None:

@@ -1,0 +1,67 @@
+"""Frames of one scene, of a camera that shares no code with the package: what stays and what does not.
+
+Patterns and noise are written here: those of the study are kept for it.
+"""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from experiments.withheld.bodies import BODIES
+from experiments.withheld.camera import DISTRIBUTIONS, Effect, Shot, before_body, compressed, develop, expose
+from experiments.withheld.numeric import srgb_encode
+from experiments.withheld.scenes import scenes
+from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap.noisy_pairs import by_scene
+
+BODY = BODIES["alder"]
+TRIED = ("prnu", "column_noise", "row_noise", "film_grain")
+
+
+def pixel_gains(mosaic, amount, shot):
+    return mosaic * (1 + amount * np.random.default_rng(5).normal(size=mosaic.shape))
+
+
+def noisier(noise, factor, shot):
+    return dataclasses.replace(noise, read=factor * noise.read)
+
+
+def write(folder, place, act, amount):
+    effect = Effect("mine", "", (amount,) * 5, {DISTRIBUTIONS: {place: act}})
+    for name, scene in scenes("one", 128, 4).items():
+        seen = before_body(scene, BODY)
+        clean = np.rint(255 * srgb_encode(seen)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{name}.clean.png"), clean[..., ::-1])
+        for frame in range(2):
+            shot = Shot(BODY, DISTRIBUTIONS, ((effect, 1),), name, frame=frame)
+            picture = develop(expose(seen, shot), shot)
+            file = compressed(picture, BODY.quality, BODY.sampling, BODY.encoder)
+            (folder / f"{name}.f{frame:02d}.jpg").write_bytes(file)
+    (folder / "dataset.toml").write_text(f'[raw]\ncfa = "{BODY.cfa}"\n')
+    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+
+
+def test_a_fixed_pattern_is_named(tmp_path):
+    report = write(tmp_path, "sites", pixel_gains, 0.03)
+    assert report["where"][0]["axis"] == "fixed_pattern"
+    first = report["causes"][0]
+    assert first["effect"] == "prnu" and first["alternatives"] == []
+    assert first["params"]["std"] == pytest.approx(0.03, rel=0.2)
+    sides = [{name.split(".")[0] for name in report["pairs"][side]} for side in ("fit", "held_out")]
+    assert all(len(report["pairs"][side]) == 4 for side in ("fit", "held_out"))
+    assert not sides[0] & sides[1], "frames of a scene stay on one side"
+
+
+def test_noise_that_changes_is_no_fixed_pattern(tmp_path):
+    report = write(tmp_path, "noise", noisier, 2.0)
+    assert not {"prnu", "column_noise"} & {c["effect"] for c in report["causes"]}
+    assert "fixed_pattern" not in [w["axis"] for w in report["where"][:1]]
+
+
+def test_intervals_are_over_scenes_and_their_frames():
+    values = np.arange(5.0)[:, None]
+    found = by_scene(values, ["a.f00", "a.f01", "b", "c.f00", "c.f01"])
+    np.testing.assert_array_equal(found, [[0, 1], [2, np.nan], [3, 4]])
+    np.testing.assert_array_equal(by_scene(values[:2], ["a", "b"]), values[:2])
