@@ -97,7 +97,7 @@ class Worker:
         self.kind, self.next, self.buffer = kind, start, b""
         self.counts: collections.Counter[str] = collections.Counter()
         self.findings: dict[str, dict[str, Any]] = {}
-        self.base, self.peak, self.seconds = 0, 0, 0.0
+        self.base, self.peak, self.hungriest, self.seconds = 0, 0, start, 0.0
 
     def begin(self) -> None:
         command = [sys.executable, "-m", "experiments.abuse.fuzz", "--work", self.kind, str(self.next)]
@@ -159,7 +159,8 @@ class Worker:
         if index >= 0:
             self.base = self.base if self.warm else peak
             self.next, self.warm = index + 1, True
-            self.peak = max(self.peak, peak - self.base)
+            if peak - self.base > self.peak:
+                self.peak, self.hungriest = peak - self.base, index
         self._count(what if what in ("accepted", "refused") else "broken", index, suffix, what)
 
     def _count(self, outcome: str, index: int, suffix: str, what: str) -> None:
@@ -194,6 +195,7 @@ class Worker:
                 name: self.counts[name] for name in ("accepted", "refused", "broken", "crash", "hang", "exit")
             },
             "peak_growth_mb": round(self.peak / 1e6, 1),
+            "peak_at": self.hungriest,
             "seconds": round(self.seconds, 1),
             "next": self.next,
             "findings": dict(sorted(self.findings.items())),

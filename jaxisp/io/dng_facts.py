@@ -54,7 +54,7 @@ def _check_whole(raw: dict[int, Any], path: Path) -> None:
     none = np.zeros(0)
     offsets = raw.get(tag.TILE_OFFSETS if tiled else tag.STRIP_OFFSETS, none)
     counts = raw.get(tag.TILE_COUNTS if tiled else tag.STRIP_COUNTS, none)
-    if not offsets.size or offsets.shape != counts.shape:
+    if not offsets.size or offsets.shape != counts.shape or not np.isfinite(offsets + counts).all():
         raise InputError(f"{path}: is damaged (no strips or tiles of RAW pixels)")
     needed, size = int((offsets.astype(np.int64) + counts.astype(np.int64)).max()), path.stat().st_size
     if needed > size:

@@ -39,6 +39,7 @@ _SINGLE = {
 }  # fmt: skip
 """Tags of one whole number, or of one a sample that are all the same."""
 _MOST_VALUES = 1 << 24
+_MOST_DIRECTORIES = 100
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def read_tags(path: Path) -> DngTags | None:
     """The tags of a TIFF-like file; None where tifffile cannot read it as one."""
     try:
         with quiet_tifffile(), tifffile.TiffFile(path) as tif:
-            pages = list(_walk(tif.pages))
+            pages = list(_walk(tif.pages, set()))
             directories = [{t.code: _value(t) for t in page.tags if t.code in _WANTED} for page in pages]
     except Exception:  # a parser on arbitrary bytes: any error means the same
         return None
@@ -126,11 +127,19 @@ def read_tags(path: Path) -> DngTags | None:
     return DngTags(directories[0], max(directories, key=_rawness))
 
 
-def _walk(pages: Any) -> Iterator[Any]:
+def _walk(pages: Any, seen: set[int]) -> Iterator[Any]:
+    """The directories of a file and those within them.
+
+    Raises:
+        ValueError: one leads back to another, or there are more than any file has.
+    """
     for page in pages:
+        if page.offset in seen or len(seen) > _MOST_DIRECTORIES:
+            raise ValueError("directories that lead back to others")
+        seen.add(page.offset)
         yield page
         if getattr(page, "pages", None):
-            yield from _walk(page.pages)
+            yield from _walk(page.pages, seen)
 
 
 def _value(tag: Any) -> Any:

@@ -88,6 +88,27 @@ def test_raw_of_absurd_size(tmp_path):
     refused(read_raw, path, "says it is 16000 x 16000 pixels")
 
 
+@pytest.mark.parametrize("within", [False, True], ids=["chained", "nested"])
+def test_directories_that_lead_back_to_others(tmp_path, within):
+    """Read one after another they have no end, and take all memory."""
+    data = b"II*\0" + struct.pack("<I", 8)
+    for after in (26, 44, 26):
+        tag = (330, 4, 1, 26) if within else (256, 4, 1, 16)
+        data += struct.pack("<HHHIII", 1, *tag, 0 if within else after)
+    (tmp_path / "loop.dng").write_bytes(data)
+    refused(read_raw, tmp_path / "loop.dng", "TIFF tags cannot be read")
+
+
+def test_a_byte_count_that_is_no_number(tmp_path):
+    """A strip's, as a double."""
+    path = dng(tmp_path / "a.dng")
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<HHI", 279, 4, 1))
+    data[at + 2 : at + 12] = struct.pack("<HIf", 11, 1, float("nan"))
+    path.write_bytes(data)
+    refused(read_raw, path, "damaged")
+
+
 def test_a_large_flat_picture_is_no_bomb(tmp_path):
     Image.new("RGB", (4000, 3000), (40, 80, 120)).save(tmp_path / "flat.png")
     assert read_image(tmp_path / "flat.png").shape == (3000, 4000, 3)
