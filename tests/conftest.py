@@ -1,5 +1,6 @@
 """Shared test images and settings. Devices are forced to 8 so that sharding is tested on any machine."""
 
+import functools
 import os
 import tempfile
 
@@ -20,6 +21,9 @@ from hypothesis import settings
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")
+
+quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+"""Compiles in half the time: for gradients of small pictures, which take no time to run."""
 
 
 @pytest.fixture
