@@ -13,17 +13,17 @@ from jaxisp.gap import prepare
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
-from jaxisp.gap.grain import grain_trial, with_grain
 from jaxisp.gap.measured import Case, Downstream, Split
+from jaxisp.gap.model import Model
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
+from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, Gap, gap_at, searched
 from jaxisp.gap.where import where
-from jaxisp.gap.which import Tick, search
+from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
-MOST_CAUSES = 3
 METRIC = {
     RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
     "summed over the three channels, large errors of single edges weighed down",
@@ -93,55 +93,59 @@ def diagnose(
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
     case, failed = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
-    problem, held = case.problem, list(case.split.held_out)
-    before = float(np.nanmean(problem.units(problem.z)[held]))
-    floor = float(min(case.floors[held].mean(), before))
-    scale = max(before - floor, 0.02 * floor, 1e-6)
-    located = _where(problem, held)
-    pictures = _pictures(problem, held[0], "before")
-    least = max(NULL_DROP[case.kind] * floor / scale, LEAST_CLOSED[case.kind])
-    start, model = problem.z.copy(), problem.model
-    most = MOST_CAUSES if before >= floor * (1 + NULL_DROP[case.kind]) else 0  # nothing could be accepted
-    enough = LEAST_CLOSED[case.kind] or -np.inf
-    apart = APART[case.kind] * floor / scale
-    causes, trials, promises = search(
-        problem, case.offered, case.split, scale, least, most, tick, enough, apart
-    )
-    if case.stored is not None:
-        grain = grain_trial(problem, case.stored, case.split, scale, least)
-        causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
-        promises["film_grain"] = grain.before - grain.after
-    if before < floor * (1 + NULL_DROP[case.kind]):  # smoothing alone can come nearer than the floor
-        causes, problem.model = [], model
-        problem.move_to(start)
-    gap_is_there = bool(causes) or before > floor * (1 + NULL_EXCESS[case.kind])
-    after = causes[-1][0].after if causes else before
-    report = {
-        "schema": 1,
-        "kind": case.kind,
-        "base": base_row(model, case.absorbed, case.given, case.open_nodes),
-        "pairs": {
-            "fit": [problem.pairs.names[i] for i in case.split.fit],
-            "held_out": [problem.pairs.names[i] for i in case.split.held_out],
-            "failed": [{"file": name, "reason": reason} for name, reason in failed],
-        },
-        "gap": {
-            "metric": METRIC[case.kind], "before": before, "after": after, "floor": floor,
-            "ci": _interval(problem, problem.z, held),
-        },
-        "verdict": "effect" if causes else "unknown" if gap_is_there else "none",
-        "causes": [cause_row(t, alike, scale, len(case.offered), problem.model) for t, alike in causes],
-        "ranking": ranking_rows(causes, trials, promises, case.absorbed, scale),
-        "where": located if gap_is_there else [],
-        "unexplained": _unexplained(problem, held, after, before, floor, scale),
-        "seconds": 0.0,
-    }  # fmt: skip
+    problem, first = case.problem, case.split.held_out[0]
+    gap = gap_at(case)
+    located = _where(problem, case.split.held_out)
+    pictures = _pictures(problem, first, "before")
+    base = problem.model, problem.z.copy()
+    row = _gap_row(case, gap)
+    found = searched(case, gap, tick)
+    report = _report(case, gap, row, found, located, base[0])
+    report["pairs"]["failed"] = [{"file": name, "reason": reason} for name, reason in failed]
     if downstream is not None:
-        models = {"without": (model, start), "with": (problem.model, problem.z)}
-        report["downstream"] = _trained(case, models, downstream, tick) if causes else NOTHING_TO_TRAIN
-    pictures |= _pictures(problem, held[0], "after") if causes else {"after": None, "residual_after": None}
+        models = {"without": base, "with": (problem.model, problem.z)}
+        report["downstream"] = _trained(case, models, downstream, tick) if found.causes else NOTHING_TO_TRAIN
+    none = {"after": None, "residual_after": None}
+    pictures |= _pictures(problem, first, "after") if found.causes else none
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
+
+
+def _gap_row(case: Case, gap: Gap) -> dict[str, Any]:
+    ci = _interval(case.problem, case.problem.z, case.split.held_out)
+    return {
+        "metric": METRIC[case.kind],
+        "before": gap.before,
+        "after": gap.before,
+        "floor": gap.floor,
+        "ci": ci,
+    }
+
+
+def _report(
+    case: Case, gap: Gap, row: dict[str, Any], found: Found, located: list[dict[str, Any]], base: Model
+) -> dict[str, Any]:
+    """report.json, but for the seconds and what could not be used."""
+    problem, names = case.problem, case.problem.pairs.names
+    there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
+    after = found.causes[-1][0].after if found.causes else gap.before
+    causes = [cause_row(t, alike, gap.scale, len(case.offered), problem.model) for t, alike in found.causes]
+    return {
+        "schema": 1,
+        "kind": case.kind,
+        "base": base_row(base, case.absorbed, case.given, case.open_nodes),
+        "pairs": {
+            "fit": [names[i] for i in case.split.fit],
+            "held_out": [names[i] for i in case.split.held_out],
+        },
+        "gap": row | {"after": after},
+        "verdict": "effect" if causes else "unknown" if there else "none",
+        "causes": causes,
+        "ranking": ranking_rows(found.causes, found.trials, found.promises, case.absorbed, gap.scale),
+        "where": located if there else [],
+        "unexplained": _unexplained(problem, case.split.held_out, after, gap),
+        "seconds": 0.0,
+    }
 
 
 def _case(
@@ -176,18 +180,6 @@ def _case(
 
     is_camera = camera is not None
     return clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera), failed
-
-
-NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
-"""How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
-and its order of steps are not quite the base's. Set on a few development cameras, see docs/diagnosis.md."""
-NULL_DROP = {RAW_JPEG: 0.03, "clean+noisy": 0.12}
-"""By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
-APART = {RAW_JPEG: np.inf, "clean+noisy": NULL_EXCESS["clean+noisy"]}
-"""By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
-statistics by what is harmless, in pixels by a share of the gap only."""
-LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
-"""What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
 
 
 NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
@@ -258,7 +250,7 @@ def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
         return list(problem.located(held))
     rng = np.random.default_rng(0)
     scale = np.maximum(problem.weight[..., :1], 1e-6)
-    residual = problem.residual / scale
+    residual, held = problem.residual / scale, list(held)
     return where(residual[held], problem.current[held], problem.weight[held][..., 0] ** 2, rng=rng)
 
 
@@ -266,10 +258,8 @@ def _interval(problem: Any, z: np.ndarray, held: Sequence[int]) -> list[float]:
     return list(interval(problem.clustered(problem.units(z)[list(held)], held), 1.0))
 
 
-def _unexplained(
-    problem: Any, held: Sequence[int], after: float, before: float, floor: float, scale: float
-) -> dict[str, Any]:
-    share = float(np.clip((after - floor) / scale, 0, 1))
+def _unexplained(problem: Any, held: Sequence[int], after: float, gap: Gap) -> dict[str, Any]:
+    share = float(np.clip((after - gap.floor) / gap.scale, 0, 1))
     left = [w for w in _where(problem, held) if w["p_value"] < 0.01 and w["share"] > 0.02][:3]
     axes = [w["axis"] for w in left]
     text = f"{100 * share:.0f} % of the gap is left"

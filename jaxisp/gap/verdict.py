@@ -1,0 +1,73 @@
+"""The gap at the base and its causes: effects that lower it by more than where nothing is missing."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxisp.gap.effects import RAW_JPEG
+from jaxisp.gap.grain import grain_trial, with_grain
+from jaxisp.gap.measured import Case
+from jaxisp.gap.which import Tick, search
+
+MOST_CAUSES = 3
+NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
+"""How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
+and its order of steps are not quite the base's. Set on a few development cameras, see docs/diagnosis.md."""
+NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.12}
+"""By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
+APART = {RAW_JPEG: np.inf, "clean+noisy": NULL_EXCESS["clean+noisy"]}
+"""By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
+statistics by what is harmless, in pixels by a share of the gap only."""
+LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
+"""What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
+
+
+class Gap(NamedTuple):
+    """On the held-out pairs, at the base."""
+
+    before: float
+    floor: float
+
+    @property
+    def scale(self) -> float:
+        """What counts as the whole of it."""
+        return max(self.before - self.floor, 0.02 * self.floor, 1e-6)
+
+    def exceeds(self, share: float) -> bool:
+        """Whether it is above the floor by this share of it."""
+        return self.before >= self.floor * (1 + share)
+
+
+class Found(NamedTuple):
+    """The accepted effects, each with those like it; all that were tried; what their screening promised."""
+
+    causes: list[Any]
+    trials: dict[str, Any]
+    promises: dict[str, float]
+
+
+def gap_at(case: Case) -> Gap:
+    held = list(case.split.held_out)
+    before = float(np.nanmean(case.problem.units(case.problem.z)[held]))
+    return Gap(before, float(min(case.floors[held].mean(), before)))
+
+
+def searched(case: Case, gap: Gap, tick: Tick) -> Found:
+    """Moves the problem to where its causes take it."""
+    problem, scale, kind = case.problem, gap.scale, case.kind
+    start, model = problem.z.copy(), problem.model
+    could = gap.exceeds(NULL_DROP[kind])  # smoothing alone can come nearer than the floor
+    least = max(NULL_DROP[kind] * gap.floor / scale, LEAST_CLOSED[kind])
+    most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
+    apart = APART[kind] * gap.floor / scale
+    causes, trials, promises = search(
+        problem, case.offered, case.split, scale, least, most, tick, enough, apart
+    )
+    if case.stored is not None:
+        grain = grain_trial(problem, case.stored, case.split, scale, least)
+        causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
+        promises["film_grain"] = grain.before - grain.after
+    if not could:
+        causes, problem.model = [], model
+        problem.move_to(start)
+    return Found(causes, trials, promises)
