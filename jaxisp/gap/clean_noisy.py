@@ -52,7 +52,7 @@ class StatisticsProblem:
         self.target = to_steps(pairs.pictures[self.inner])
         self.weight = np.sqrt(np.broadcast_to(np.asarray(self.mask)[..., None], self.target.shape))
         self._frames = frames_of([scene_name(name) for name in pairs.names])
-        self._maps = tuple(normalised_regressors(self.base_picture, self.mask, c) for c in range(3))
+        self._maps = normalised_regressors(self.base_picture, self.mask)
         self._codes = seen
         self._weights, self._counted = weights(), np.ones_like(weights())
         self.fresh: Sequence[int] = noise_indices(model)
@@ -193,7 +193,7 @@ class StatisticsProblem:
         index = list(self.split.fit)
         own: dict[str, Any] = {"pairs": self.pairs.take(index), "split": Split(tuple(range(len(index))), ())}
         own |= {name: getattr(self, name)[np.array(index)] for name in ("mask", "base_picture", "target")}
-        own["_maps"] = tuple((m[np.array(index)], inverse[np.array(index)]) for m, inverse in self._maps)
+        own["_maps"] = [self._maps[i] for i in index]
         own["_frames"] = frames_of([scene_name(name) for name in own["pairs"].names])
         own["_numbers"] = index
         part = copy.copy(self)

@@ -1,7 +1,6 @@
 """Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -93,26 +92,35 @@ def _of_colour(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
     return maps
 
 
-@functools.partial(jax.jit, static_argnums=2)
-def normalised_regressors(s: jax.Array, mask: jax.Array, channel: int) -> Maps:
-    """The maps of one channel of noise-free pictures (N, h, w, 3).
+def normalised_regressors(s: jax.Array, mask: jax.Array) -> list[tuple[Maps, ...]]:
+    """The maps of noise-free pictures (N, h, w, 3), for each picture and channel.
 
     Returns:
-        (N, K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
-        mean square], and (N, K, K) what turns these amplitudes into the coefficients of a regression.
+        (K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
+        mean square], and (K, K) what turns these amplitudes into the coefficients of a regression.
     """
 
-    def one(pair: Any) -> Maps:
-        picture, m = pair
-        found = regressors(picture)
-        maps = jnp.stack([v * m for _, (c, v) in sorted(found.items()) if c == channel])
-        norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
-        maps = (maps / norm[:, None, None]).reshape(len(maps), -1)
-        gram = jnp.einsum("kp,lp->kl", maps, maps, precision="highest")
-        ridge = 1e-3 / (m.sum() + 1) * jnp.eye(len(maps))
-        return maps, jnp.linalg.inv(gram + ridge)
+    each = _all_normalised(s, mask)
+    return [jax.tree.map(lambda v, n=n: v[n], each) for n in range(len(s))]
 
-    return jax.lax.map(one, (s, mask))
+
+@jax.jit
+def _all_normalised(s: jax.Array, mask: jax.Array) -> tuple[Maps, ...]:
+    def one(pair: tuple[jax.Array, jax.Array]) -> tuple[Maps, ...]:
+        return tuple(_normalised(pair[0], pair[1], channel) for channel in range(3))
+
+    found: tuple[Maps, ...] = jax.lax.map(one, (s, mask))
+    return found
+
+
+def _normalised(picture: jax.Array, m: jax.Array, channel: int) -> Maps:
+    found = regressors(picture)
+    maps = jnp.stack([v * m for _, (c, v) in sorted(found.items()) if c == channel])
+    norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
+    maps = (maps / norm[:, None, None]).reshape(len(maps), -1)
+    gram = jnp.einsum("kp,lp->kl", maps, maps, precision="highest")
+    ridge = 1e-3 / (m.sum() + 1) * jnp.eye(len(maps))
+    return maps, jnp.linalg.inv(gram + ridge)
 
 
 @functools.cache

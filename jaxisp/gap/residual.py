@@ -179,7 +179,7 @@ class Problem:
 def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.Array]:
     """(N, K, K) and (N, K) of (N, K, P) and (N, P).
 
-    By XLA: OpenBLAS' threads wait for each other by spinning, which takes fifty times as long on a busy machine.
+    By XLA: OpenBLAS' threads wait by spinning, which takes fifty times as long on a busy machine.
     """
     product = functools.partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
     return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)

@@ -209,29 +209,36 @@ def frames_of(scenes: Sequence[str]) -> Frames:
 
 
 def features(
-    y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...], frames: Frames, seen: Codes
-) -> jax.Array:
+    y: jax.Array,
+    s: jax.Array,
+    mask: jax.Array,
+    maps: Sequence[tuple[Maps, ...]],
+    frames: Frames,
+    seen: Codes,
+) -> np.ndarray:
     """(N, F) statistics of pictures (N, h, w, 3) against noise-free ones, all in Y'CbCr in 8-bit steps.
 
     Args:
-        maps: `normalised_regressors` of each channel.
+        maps: `normalised_regressors` of the pictures.
         frames: where a scene has several, their noise is what each differs in from their mean.
         seen: how to get back to what the sensor read.
     """
-    each = [tuple((m[n], inverse[n]) for m, inverse in maps) for n in range(len(y))]
-    parts = [_mean_part(y[n], s[n], mask[n], own) for n, own in enumerate(each)]  # compiled once for any N
+    parts = [_mean_part(*own) for own in zip(y, s, mask, maps)]  # compiled once for any N
     means, whole = (jnp.stack(part) for part in zip(*parts))
     noise = _apart(whole, mask, frames.average)
-    patterns = _patterns(whole, s, mask, frames.others)
-    rows = []
-    for n in range(len(y)):
-        own = _noise_part(noise[n], y[n], s[n], mask[n], seen) | {k: v[n] for k, v in patterns.items()}
-        rows.append(jnp.stack([own[name] for name in sorted(own)]))
-    return jnp.concatenate([means, jnp.stack(rows)], 1)
+    each = [_noise_part(*own, seen) for own in zip(noise, y, s, mask)]
+    others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others)], 1)
+    return np.concatenate([means, others[:, _others()[1]]], 1)
 
 
-_noise_part = jax.jit(noise_part)
-_patterns = jax.jit(pattern_part)
+@jax.jit
+def _noise_part(*arguments: Any) -> jax.Array:
+    return jnp.stack([v for _, v in sorted(noise_part(*arguments).items())])
+
+
+@jax.jit
+def _patterns(*arguments: Any) -> jax.Array:
+    return jnp.stack([v for _, v in sorted(pattern_part(*arguments).items())], 1)
 
 
 @jax.jit
@@ -258,12 +265,19 @@ def _apart(whole: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
 
 
 @functools.cache
-def feature_names() -> tuple[str, ...]:
-    """In the order of the columns of `features`; "kind axis what"."""
+def _others() -> tuple[tuple[str, ...], np.ndarray]:
+    """The names of what is no mean, and where each stands in what `_noise_part` and `_patterns` give."""
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
     noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_codes((32, 32)))
     many = jax.ShapeDtypeStruct((2, 32, 32, 3), jnp.float32)
     masks, pairs = (jax.ShapeDtypeStruct(n, jnp.float32) for n in ((2, 32, 32), (2, 2)))
-    patterns = jax.eval_shape(pattern_part, many, many, masks, pairs)
-    return (*mean_names(), *sorted({*noise, *patterns}))
+    names = np.array([*sorted(noise), *sorted(jax.eval_shape(pattern_part, many, many, masks, pairs))])
+    order = np.argsort(names)
+    return tuple(map(str, names[order])), order
+
+
+@functools.cache
+def feature_names() -> tuple[str, ...]:
+    """In the order of the columns of `features`; "kind axis what"."""
+    return *mean_names(), *_others()[0]

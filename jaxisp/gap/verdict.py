@@ -10,12 +10,12 @@ from jaxisp.gap.measured import Case
 from jaxisp.gap.which import Tick, search
 
 MOST_CAUSES = 3
-NULL_EXCESS = {RAW_JPEG: 0.35, "clean+noisy": 0.35}
+NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
-and its order of steps are not quite the base's. Set on a few development cameras, see docs/diagnosis.md."""
-NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.12}
+and its order of steps are not quite the base's. As 46 and 24 nulls have it, see docs/diagnosis.md."""
+NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.5}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
-APART = {RAW_JPEG: np.inf, "clean+noisy": NULL_EXCESS["clean+noisy"]}
+APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 """By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
 statistics by what is harmless, in pixels by a share of the gap only."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}

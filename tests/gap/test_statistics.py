@@ -18,7 +18,7 @@ ROW, COLUMN = np.mgrid[:H, :W]
 MASK = jnp.ones((N, H, W), jnp.float32)
 FRAMES = frames_of(["a", "b", "c", "d"])
 SEEN = unknown_codes((H, W))
-MAPS = tuple(normalised_regressors(jnp.asarray(SCENE), MASK, c) for c in range(3))
+MAPS = normalised_regressors(jnp.asarray(SCENE), MASK)
 
 
 def measured(residual):
@@ -74,7 +74,7 @@ def test_a_statistic_answers_to_its_noise(name, plain):
 def test_lines_and_impulses_are_seen_in_a_flat_scene(name, added):
     """Rows of deviation 1 in noise of 4: the mean of half a row has 0.5, so that halves agree by 0.8."""
     ramp = jnp.asarray(np.broadcast_to(100 + 0.3 * COLUMN[..., None] * [1, 0, 0], (N, H, W, 3)), jnp.float32)
-    maps = tuple(normalised_regressors(ramp, MASK, c) for c in range(3))
+    maps = normalised_regressors(ramp, MASK)
     place = feature_names().index(name)
     plain, found = (
         np.asarray(features(ramp + jnp.asarray(r, jnp.float32), ramp, MASK, maps, FRAMES, SEEN))[
@@ -129,14 +129,14 @@ def test_names_axes_and_weights():
 def test_degenerate_pictures_are_finite(mask):
     flat = jnp.full(SCENE.shape, 90.0, jnp.float32)
     chosen = jnp.full((N, H, W), mask, jnp.float32)
-    maps = tuple(normalised_regressors(flat, chosen, c) for c in range(3))
+    maps = normalised_regressors(flat, chosen)
     assert np.isfinite(np.asarray(features(flat, flat, chosen, maps, FRAMES, SEEN))).all()
 
 
 def test_frames_of_one_scene_give_the_noise_without_what_they_share():
     """A fixed pattern is no noise then, and is looked for between scenes only."""
     twice = jnp.asarray(np.repeat(SCENE[:2], 2, 0))
-    maps = tuple(normalised_regressors(twice, MASK, c) for c in range(3))
+    maps = normalised_regressors(twice, MASK)
     frames = frames_of(["a", "a", "b", "b"])
     shared = np.repeat(20 * RNG.normal(size=(2, H, W, 3)), 2, 0)
     rows = [
