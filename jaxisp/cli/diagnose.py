@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, print_table, progress
+from jaxisp.cli.common import add_command, positive, print_json, print_table, progress
 
 
 def add_commands(commands: Any) -> None:
@@ -23,7 +23,7 @@ def add_commands(commands: Any) -> None:
         action="store_true",
         help="train small denoisers without and with the effects found, measured on held-out pairs",
     )
-    command.add_argument("--downstream-steps", type=int, default=500, metavar="N", help="of each (500)")
+    command.add_argument("--downstream-steps", type=positive, default=500, metavar="N", help="of each (500)")
 
 
 def run(arguments: Namespace) -> int:
