@@ -15,14 +15,17 @@ from experiments.fit_phones.common import SEED, Cases, Run, fitted, short
 from jaxisp.io import write_dng, write_png
 from jaxisp.samples import PHONES, scene, scene_names, shoot
 
+DRAWS = 4  # of settings for each file
 ALGORITHMS = ("LINEAR", "VNG", "PPG", "AHD", "DCB")
 
 
 def runs(data: Path | None) -> dict[str, Run]:
     raws = sorted((data / "raw").glob("*.dng")) if data else []
-    return {path.stem: partial(against_libraw, path, i) for i, path in enumerate(raws)} | {
-        f"phone_{name}": partial(libraw_on_phone, name, 100 + i) for i, name in enumerate(PHONES)
-    }
+    return {
+        f"{path.stem}{f' {draw + 1}' * (draw > 0)}": partial(against_libraw, path, i + 10 * draw)
+        for i, path in enumerate(raws)
+        for draw in range(DRAWS)
+    } | {f"phone_{name}": partial(libraw_on_phone, name, 100 + i) for i, name in enumerate(PHONES)}
 
 
 def libraw_on_phone(name: str, seed: int) -> dict[str, Any]:
