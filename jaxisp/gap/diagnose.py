@@ -98,35 +98,21 @@ def diagnose(
     located = _where(problem, case.split.held_out)
     pictures = _pictures(problem, first, "before")
     base = problem.model, problem.z.copy()
-    row = _gap_row(case, gap)
     found = searched(case, gap, tick)
-    report = _report(case, gap, row, found, located, base[0])
+    report = _report(case, gap, found, located, base[0])
     report["pairs"]["failed"] = [{"file": name, "reason": reason} for name, reason in failed]
     if downstream is not None:
         models = {"without": base, "with": (problem.model, problem.z)}
-        report["downstream"] = _trained(case, models, downstream, tick) if found.causes else NOTHING_TO_TRAIN
+        report["downstream"] = _trained(case, models, downstream, tick) if found.causes else _NOTHING_TO_TRAIN
     none = {"after": None, "residual_after": None}
     pictures |= _pictures(problem, first, "after") if found.causes else none
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
 
 
-def _gap_row(case: Case, gap: Gap) -> dict[str, Any]:
-    ci = _interval(case.problem, case.problem.z, case.split.held_out)
-    return {
-        "metric": METRIC[case.kind],
-        "before": gap.before,
-        "after": gap.before,
-        "floor": gap.floor,
-        "ci": ci,
-    }
-
-
-def _report(
-    case: Case, gap: Gap, row: dict[str, Any], found: Found, located: list[dict[str, Any]], base: Model
-) -> dict[str, Any]:
+def _report(case: Case, gap: Gap, found: Found, located: list[dict[str, Any]], base: Model) -> dict[str, Any]:
     """report.json, but for the seconds and what could not be used."""
-    problem, names = case.problem, case.problem.pairs.names
+    problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
     after = found.causes[-1][0].after if found.causes else gap.before
     causes = [cause_row(t, alike, gap.scale, len(case.offered), problem.model) for t, alike in found.causes]
@@ -136,16 +122,19 @@ def _report(
         "base": base_row(base, case.absorbed, case.given, case.open_nodes),
         "pairs": {
             "fit": [names[i] for i in case.split.fit],
-            "held_out": [names[i] for i in case.split.held_out],
+            "held_out": [names[i] for i in held],
         },
-        "gap": row | {"after": after},
+        "gap": {
+            "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,
+            "ci": _interval(problem, held, after),
+        },
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "ranking": ranking_rows(found.causes, found.trials, found.promises, case.absorbed, gap.scale),
         "where": located if there else [],
-        "unexplained": _unexplained(problem, case.split.held_out, after, gap),
+        "unexplained": _unexplained(problem, held, after, gap),
         "seconds": 0.0,
-    }
+    }  # fmt: skip
 
 
 def _case(
@@ -182,7 +171,7 @@ def _case(
     return clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera), failed
 
 
-NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
+_NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
 
 
 def _trained(case: Case, models: dict[str, Any], how: Downstream, tick: Tick) -> dict[str, Any]:
@@ -254,8 +243,11 @@ def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
     return where(residual[held], problem.current[held], problem.weight[held][..., 0] ** 2, rng=rng)
 
 
-def _interval(problem: Any, z: np.ndarray, held: Sequence[int]) -> list[float]:
-    return list(interval(problem.clustered(problem.units(z)[list(held)], held), 1.0))
+def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
+    """Of what is left; film grain moves no parameter, so its part is taken off every picture alike."""
+    left = problem.units(problem.z)[list(held)]
+    share = after / max(float(np.nanmean(left)), 1e-12)
+    return list(interval(problem.clustered(share * left, held), 1.0))
 
 
 def _unexplained(problem: Any, held: Sequence[int], after: float, gap: Gap) -> dict[str, Any]:

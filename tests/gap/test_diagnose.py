@@ -69,6 +69,7 @@ def test_a_report_keeps_the_contract(diagnosed):
         json.dumps(report, allow_nan=False)
         gap = report["gap"]
         assert gap["floor"] <= gap["before"] and report["schema"] == 1 and report["kind"] == "raw+jpeg"
+        assert gap["ci"][0] <= gap["after"] <= gap["ci"][1], "the interval is of what is left"
         assert not set(report["pairs"]["fit"]) & set(report["pairs"]["held_out"])
         assert {r["effect"] for r in report["ranking"]} <= set(EFFECTS)
         for cause in report["causes"]:
