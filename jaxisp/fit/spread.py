@@ -1,7 +1,7 @@
 """Where a fit's chunks are rendered: side by side on one device, or one a device over a mesh."""
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -27,14 +27,11 @@ _MOST = 8
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    """One for the process, begun when it is first wanted."""
+    """One for the process, begun when it is first wanted.
+
+    A thread a core: XLA's CPU code runs the small steps of one program one after another.
+    """
     return ThreadPoolExecutor(min(cores.available(), _MOST), "jaxisp-fit")
-
-
-def together(function: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """`map` on as many threads as there are cores, in the order of the arguments: XLA's CPU code runs the
-    small steps of one program one after another."""
-    return list(_pool().map(function, *arguments))
 
 
 def ahead(function: Callable[[], T]) -> "Future[T]":
@@ -71,7 +68,7 @@ def each(
         found = jax.block_until_ready(normal_equations(problem, *made, near))
         return found._replace(jacobian=None), found.jacobian if made[0].moving.any() else None
 
-    found = together(one, items, near or [_no_jacobian(problem)] * len(items))
+    found = list(_pool().map(one, items, near or [_no_jacobian(problem)] * len(items)))
     return [part for part, _ in found], [jacobian for _, jacobian in found]
 
 
