@@ -23,6 +23,7 @@ from jaxisp.fit.evaluate import evaluate
 from jaxisp.fit.journal import Journal, alone, fingerprint
 from jaxisp.fit.lens import Lens
 from jaxisp.fit.pair import FROM_FILE, Example
+from jaxisp.fit.raw_noise import RawNoise
 from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.fit.search import Options, Outcome, Search, Tick
 from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
@@ -250,9 +251,9 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
         "design": outcome.design.text,
         "not_identified": unknown,
     }
-    noise = [s.raw_noise for s in shots if s.raw_noise is not None]
+    noise = [s.sensor_noise for s in shots if s.sensor_noise is not None]
     if noise:
-        meta["raw_noise"] = {"shot": [n[0] for n in noise], "read": [n[1] for n in noise]}
+        meta["raw_noise"] = {name: [getattr(n, name) for n in noise] for name in RawNoise._fields}
     return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
 
 

@@ -11,6 +11,7 @@ from jaxisp.params import Spec, map_specs, specs
 from jaxisp.pipeline import Chain, Node, Params, stage
 from jaxisp.priors import LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
+from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.noise import ShotReadNoise
 from jaxisp.stages.optics import Exposure
 
@@ -35,19 +36,25 @@ ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1
 
 
 def prior_from_cameras(
-    cameras: Sequence[Recipe | str | Path], *, spread: float = 1.25, name: str = "fitted-prior"
+    cameras: Sequence[Recipe | str | Path],
+    *,
+    spread: float = 1.25,
+    noise_spread: float = 4.0,
+    name: str = "fitted-prior",
 ) -> Recipe:
     """A recipe for training data: the noise, demosaicking, denoising, sharpening and JPEG of fitted cameras.
 
-    The photograph is brought to the level that the camera's RAW would have, gets the RAW's noise, and
-    goes through the camera's stages; tone and colour are left out. Each number is drawn from the range
-    that the cameras span, widened by `spread`. Choices that are no numbers (demosaicker, footprint,
-    JPEG tables) are those of the first camera.
+    The photograph is brought to the level and balance that the camera's RAW would have, gets the RAW's
+    noise, is balanced, and goes through the camera's stages; tone and colour are left out. Each number is
+    drawn from the range that the cameras span, widened by `spread`. Choices that are no numbers (demosaicker,
+    footprint, JPEG tables, white balance) are those of the first camera.
 
     Args:
         cameras: recipes, or the CAMERA.toml files that `jaxisp fit` wrote.
         spread: by which factor a range is widened on either side; on a linear scale, by this share less 1 of
             the largest value.
+        noise_spread: the same for the variance of the noise, which goes with the ISO number: 4 is two stops
+            more and two less than the pictures that the cameras were fitted to.
         name: of the recipe.
 
     Returns:
@@ -71,8 +78,10 @@ def prior_from_cameras(
     prior: Params = {
         "scene_exposure": Exposure(exposure_ev=-ev),
         "exposure": Exposure(exposure_ev=ev),
-        "shot_read_noise": _noise(loaded, spread),
+        "shot_read_noise": _noise(loaded, noise_spread),
     }
+    gains = np.asarray(first.meta.get("raw_noise", {}).get("gains", [(1, 1, 1)])[0], np.float32)
+    prior |= {"scene_light": WhiteBalance(gains=1 / gains), "mosaic_white_balance": WhiteBalance(gains=gains)}
     for node in kept:
         if node.name.startswith("denoise_"):  # one undoes the other
             prior[node.name] = first.prior[node.name]
@@ -96,7 +105,9 @@ def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:
         stage("srgb_eotf"),
         stage("exposure", name="scene_exposure"),
         stage("mosaic", cfa=cfa),
+        stage("mosaic_white_balance", name="scene_light", cfa=cfa),
         stage("shot_read_noise"),
+        stage("mosaic_white_balance", cfa=cfa),
     ]
     sharpen, *jpeg = output
     return [
@@ -106,14 +117,15 @@ def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:
 
 
 def _noise(cameras: Sequence[Recipe], spread: float) -> ShotReadNoise:
-    """The noise that the RAW files stated, or any where they did not; both numbers, widened."""
-    stated = [c.meta["raw_noise"] for c in cameras if "raw_noise" in c.meta]
-    if not stated:
+    """The noise of the RAW files, or any where nothing is known of it."""
+    known = [c.meta["raw_noise"] for c in cameras if "raw_noise" in c.meta]
+    if not known:
         return ANY_NOISE
     found: dict[str, Any] = {}
-    for field, spec in specs(ShotReadNoise).items():
-        values = [max(float(v), 1e-7) for noise in stated for v in noise[field]]
-        found[field] = LogUniform(min(values) / spread, min(max(values) * spread, spec.bounds[1]))
+    for field, wider in ("shot", spread), ("read", spread**0.5):
+        values = [max(float(v), 1e-7) for noise in known for v in noise[field]]
+        most = specs(ShotReadNoise)[field].bounds[1]
+        found[field] = LogUniform(min(values) / wider, min(max(values) * wider, most))
     return ShotReadNoise(**found)
 
 

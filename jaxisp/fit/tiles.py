@@ -14,6 +14,7 @@ from jaxisp.fit import model, noise
 from jaxisp.fit.align import Alignment
 from jaxisp.fit.lens import STRAIGHT, Lens, covered
 from jaxisp.fit.pair import Example, align, balanced, demosaicker
+from jaxisp.fit.raw_noise import RawNoise, raw_noise
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
 from jaxisp.pipeline import Chain, run_batch
@@ -62,8 +63,8 @@ class Shot:
     jpeg: Jpeg | None
     orientation: int = 1
     notes: tuple[str, ...] = ()
-    raw_noise: tuple[float, float] | None = None
-    """Shot (variance) and read (standard deviation) of green, where the RAW states them."""
+    sensor_noise: RawNoise | None = None
+    """Of the sensor, stated by the RAW or measured in it."""
     lens: Lens = STRAIGHT
     """The distortion that the alignment found."""
 
@@ -118,10 +119,9 @@ def prepare(example: Example, most: int = 32) -> Shot:
     tiles = [_tile(example, mosaic, alignment, lens, masks.fitted, corner) for corner in corners]
     flat = _regions(example.picture, masks.fitted)
     chunks = tuple(_chunks(tiles, [_cut(flat, corner) for corner in corners], example.raw.mosaic.shape))
-    stated = example.raw.noise_profile
-    green = None if stated is None else (float(stated[1][0]), float(stated[1][1]))
+    sensor_noise = raw_noise(example.raw)
     return Shot(
-        example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, green, lens
+        example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, sensor_noise, lens
     )
 
 

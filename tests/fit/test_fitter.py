@@ -186,6 +186,11 @@ def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path):
     noisy = np.asarray(noisy)
     assert np.isfinite(noisy).all() and 15 < psnr(noisy[0], clean) < 45
     assert (noisy[0] != noisy[1]).any()
+    stated, noise = result.camera.meta["raw_noise"], recipe.prior["shot_read_noise"]
+    assert not stated["measured"][0]
+    np.testing.assert_allclose((noise.shot.low, noise.shot.high), np.multiply(stated["shot"], (1 / 4, 4)))
+    np.testing.assert_allclose((noise.read.low, noise.read.high), np.multiply(stated["read"], (1 / 2, 2)))
+    np.testing.assert_allclose(recipe.prior["mosaic_white_balance"].gains, stated["gains"][0], rtol=1e-6)
     with pytest.raises(InputError, match="at least one camera"):
         prior_from_cameras([])
 
