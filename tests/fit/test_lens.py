@@ -82,9 +82,9 @@ def test_a_phone_that_corrects_its_lens(name, tmp_path, monkeypatch):
     size = (192, 272)
     corner = np.hypot(*(n - 1 for n in size)) / 2
     lens = Lens(1.6 / corner, 0.0, 1 / (1 + 0.7 / corner), 1 / (1 - 0.5 / corner))
-    plain = phone._DEMOSAICKERS["gradient"]
+    plain = phone.DEMOSAICKERS["gradient"]
     monkeypatch.setitem(
-        phone._DEMOSAICKERS, "gradient", lambda raw, filters: displaced(plain(raw, filters), lens, order=3)
+        phone.DEMOSAICKERS, "gradient", lambda raw, filters: displaced(plain(raw, filters), lens, order=3)
     )
     write_pairs(tmp_path, PHONES["a"], {name: scene(name, size)})
     found = fit_dataset(tmp_path, steps=8, demosaic="demosaic_malvar", median="none")
