@@ -147,7 +147,7 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     for kind in arguments.kind:
         for split in arguments.split:
             found += cases(kind, split, arguments.bodies, arguments.strengths, arguments.scenes)
-    found = shuffled(found)[: arguments.limit]
+    found = shuffled(found)[arguments.skip : arguments.limit]
     plain = {_plain(asdict(case)): None for case in found if case.split != "nulls"}
     return list(dict.fromkeys([*plain, *found]))
 
@@ -161,7 +161,8 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--scenes", choices=SETS, default="", help="instead of the split's own set")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--count", type=int, default=8, help="scenes in a data set")
-    parser.add_argument("--limit", type=int)
+    parser.add_argument("--skip", type=int, default=0, help="leave out as many: thresholds were set on them")
+    parser.add_argument("--limit", type=int, help="end before this case")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     return parser.parse_args(words)

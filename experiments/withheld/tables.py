@@ -1,6 +1,6 @@
 """Turn what `study` found into Markdown.
 
-    python -m experiments.withheld.tables docs/results/gap-develop.json -o docs/results/gap-develop.md
+    python -m experiments.withheld.tables docs/results/withheld.json -o docs/results/withheld.md
 
 Several files may be given; a case in more than one of them counts as the last has it.
 """
@@ -21,6 +21,21 @@ Record = dict[str, Any]
 
 
 VERDICTS = ("unknown", "none", "effect")
+HEAD = """# Withheld effects
+
+Cameras that share no code with the package (`experiments/withheld`), whose effect the diagnosis is not told.
+One results file for all:
+
+```sh
+study="python -m experiments.withheld.study --out results.json"
+$study --kind raw+jpeg --split nulls --skip 46 --limit 100
+$study --kind clean+noisy --split nulls --skip 24 --limit 48 --size 128 --count 6
+$study --kind clean+noisy --split sealed --bodies birch --strengths 3 5 --size 128 --count 6
+python -m experiments.withheld.tables results.json -o docs/results/withheld.md
+```
+
+The nulls that are skipped set the thresholds ([how](../diagnosis.md)). A command that was stopped goes on.
+"""
 
 
 def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
@@ -213,7 +228,7 @@ SECTIONS = {
 def markdown(records: Sequence[Record]) -> str:
     """Sections by kind of data and split, then seconds and failures."""
     whole = [r for r in records if "failed" not in r]
-    parts = ["# Withheld effects\n"]
+    parts = [HEAD]
     for kind in sorted({r["kind"] for r in whole}):
         for split, (title, section) in SECTIONS.items():
             mine = [r for r in whole if r["kind"] == kind and r["split"] == split]
