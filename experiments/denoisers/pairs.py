@@ -51,7 +51,7 @@ def _make(place: Place, name: str) -> list[AlignedPair]:
 
 
 def _cameras(place: Place) -> list[AlignedPair]:
-    scenes = {name: _linear(image) for name, image in test_pictures(place).items()}
+    scenes = {name: to_linear(image) for name, image in test_pictures(place).items()}
     made: list[AlignedPair] = []
     for body, effects in CAMERAS.items():
         folder = place.work / "cameras" / body
@@ -78,32 +78,15 @@ def gaussian(place: Place, std: float) -> list[AlignedPair]:
     made = []
     for i, (name, clean) in enumerate(test_pictures(place).items()):
         noise = np.random.default_rng((7, i)).standard_normal(clean.shape)
-        noisy = srgb_oetf(jnp.clip(jnp.asarray(_linear(clean) + std * noise, jnp.float32), 0, 1))
+        noisy = srgb_oetf(jnp.clip(jnp.asarray(to_linear(clean) + std * noise, jnp.float32), 0, 1))
         made.append(as_pair(name, np.asarray(noisy), clean))
     return made
-
-
-def in_camera_tone(pair: AlignedPair) -> np.ndarray:
-    """The clean picture in the tone of the noisy one: a rising curve for each channel, through means of bins.
-
-    A denoiser that removed all noise and nothing else would give this. What it falls short of is tone.
-    """
-    picture, noisy = pair.noisy.copy(), _linear(pair.noisy[pair.area])
-    toned = np.stack([_toned(pair.clean[..., c], noisy[..., c]) for c in range(3)], axis=-1)
-    picture[pair.area] = np.asarray(srgb_oetf(jnp.asarray(np.clip(toned, 0, 1), jnp.float32)))
-    return picture
-
-
-def _toned(clean: np.ndarray, noisy: np.ndarray, bins: int = 40) -> np.ndarray:
-    order = np.array_split(np.argsort(clean, axis=None), bins)
-    x, y = ([plane.ravel()[i].mean() for i in order] for plane in (clean, noisy))
-    return np.interp(clean, x, np.maximum.accumulate(y))
 
 
 def as_pair(name: str, noisy: np.ndarray, clean: np.ndarray) -> AlignedPair:
     """Two encoded pictures that lie on one another."""
     whole = (slice(0, clean.shape[0]), slice(0, clean.shape[1]))
-    return AlignedPair(name, noisy, whole, _linear(clean), True, (0.0, 0.0))
+    return AlignedPair(name, noisy, whole, to_linear(clean), True, (0.0, 0.0))
 
 
 def test_pictures(place: Place) -> dict[str, np.ndarray]:
@@ -117,5 +100,6 @@ def _middle(path: Path) -> np.ndarray:
     return np.ascontiguousarray(image[y : y + _SIDE, x : x + _SIDE])
 
 
-def _linear(image: np.ndarray) -> np.ndarray:
+def to_linear(image: np.ndarray) -> np.ndarray:
+    """Encoded sRGB to light."""
     return np.asarray(srgb_eotf(jnp.asarray(image, jnp.float32)))

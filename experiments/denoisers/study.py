@@ -11,13 +11,17 @@ import numpy as np
 
 from benchmarks.machine import machine
 from experiments.denoisers import classical, report
+from experiments.denoisers.ceilings import in_camera_sharpness, in_camera_tone
 from experiments.denoisers.classical import Denoise
-from experiments.denoisers.pairs import evaluation_set, in_camera_tone
+from experiments.denoisers.pairs import evaluation_set
 from experiments.denoisers.training import SCALES, Place, configuration, trained
 from jaxisp.cli.devices import use_cores
 from jaxisp.train import AlignedPair, Denoiser, evaluate_pairs
 
-CEILING = "clean in the camera's tone (no denoiser)"
+CEILINGS: dict[str, Callable[[AlignedPair], np.ndarray]] = {
+    "clean in the camera's tone (no denoiser)": in_camera_tone,
+    "and as sharp as the camera's (no denoiser)": in_camera_sharpness,
+}
 _SEEN = {"encoded": "networks in encoded sRGB", "linear": "networks in linear light"}
 
 
@@ -138,12 +142,16 @@ def baselines(place: Place, names: Sequence[str]) -> list[dict[str, Any]]:
     for title, denoise in {"noisy input": lambda image: image, **_classical(place, sets)}.items():
         kept = _kept(place, title, denoise, {name: sets[name] for name in names})
         rows += [{"denoiser": title, "seed": None, **row} for row in kept]
-    return rows + [{"denoiser": CEILING, "seed": None, "set": name, **ceiling(sets[name])} for name in names]
+    return rows + [
+        {"denoiser": title, "seed": None, "set": name, **ceiling(picture, sets[name])}
+        for title, picture in CEILINGS.items()
+        for name in names
+    ]
 
 
-def ceiling(pairs: Sequence[AlignedPair]) -> dict[str, Any]:
-    """What is left where all noise is gone: alignment apart, the camera's tone, which no denoiser undoes."""
-    pictures = iter([in_camera_tone(pair) for pair in pairs])
+def ceiling(picture: Callable[[AlignedPair], np.ndarray], pairs: Sequence[AlignedPair]) -> dict[str, Any]:
+    """What is left where all noise is gone: alignment apart, what no denoiser undoes."""
+    pictures = iter([picture(pair) for pair in pairs])
     return figures(lambda image: next(pictures), pairs)
 
 

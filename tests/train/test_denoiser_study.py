@@ -4,10 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from experiments.denoisers import ablations, demosaicking, noise_models, raw_input, report, sanity, study
+from experiments.denoisers.ceilings import in_camera_sharpness, in_camera_tone
 from experiments.denoisers.classical import METHODS, denoiser
-from experiments.denoisers.pairs import as_pair, in_camera_tone
+from experiments.denoisers.pairs import as_pair
 from experiments.denoisers.training import FITTED, SCALES, Place, configuration
 from jaxisp.recipes import RECIPES
 from jaxisp.train import evaluate_pairs
@@ -83,8 +85,16 @@ def test_the_ceiling_has_the_tone_of_the_noisy_picture(rng):
     noisy = clean**0.7 + 0.03 * rng.standard_normal(clean.shape)
     pair = as_pair("a", np.float32(noisy), clean)
     np.testing.assert_allclose(in_camera_tone(pair), clean**0.7, atol=0.03)
-    mean = study.ceiling([pair])["mean"]
+    mean = study.ceiling(in_camera_tone, [pair])["mean"]
     assert mean["psnr"] > mean["psnr_in"] + 3
+
+
+def test_the_other_ceiling_is_as_sharp_as_the_noisy_picture(rng):
+    clean = rng.uniform(0.2, 0.8, (96, 96, 3))
+    soft = ndimage.uniform_filter(clean, (3, 3, 1), mode="mirror")
+    pair = as_pair("a", np.float32(soft + 0.03 * rng.standard_normal(clean.shape)), clean)
+    sharp, softened = (f(pair)[4:-4, 4:-4] - soft[4:-4, 4:-4] for f in (in_camera_tone, in_camera_sharpness))
+    assert np.std(softened) < 0.01 < 0.5 * np.std(sharp)
 
 
 @pytest.mark.parametrize("name", METHODS)
