@@ -186,8 +186,8 @@ def _blocks(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     centre = (j[..., None] + 0.5) * factor - 0.5
     shrink = way.down(centre, k[:, None], factor, size) * inside[:, None]
     enlarge = way.up((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None]
-    # a row of which next to nothing is in the block belongs to a sample that the block does not use
-    shrink = safe_divide(shrink, shrink.sum(2, keepdims=True), 0.1)
+    # the last sample may stand nearly a step outside, with weights of 5e-4; less is no row that a block uses
+    shrink = safe_divide(shrink, shrink.sum(2, keepdims=True), 1e-5)
     enlarge = safe_divide(enlarge, enlarge.sum(2, keepdims=True))
     return jnp.matmul(enlarge, shrink, precision=lax.Precision.HIGHEST)
 
@@ -236,7 +236,8 @@ def rescaling(params: Rescaling, image: RGB) -> RGB:
     Returns:
         (H, W, 3) in the domain of the image; exactly the image at factor 1 and shares 0.
 
-    Gradient: exact, but for the factors at which a row or column of the smaller image comes or goes.
+    Gradient: exact, but for the factors at which a row or column of the smaller image comes or goes; 0 to a
+    share that is 0.
 
     Source: Keys 1981; Turkowski 1990.
     """

@@ -131,6 +131,16 @@ def test_resampling_keeps_constants_at_any_factor_and_size():
         np.testing.assert_allclose(resampling(Resampling(factor=jnp.float32(factor)), flat), flat, atol=1e-6)
 
 
+@pytest.mark.parametrize("method", ["bilinear", "bicubic"])
+def test_large_constants_are_kept_where_the_last_sample_stands_outside(method):
+    flat = np.full((301, 257, 3), 0.4, np.float32)
+    run = jax.jit(lambda f: resampling(Resampling(factor=f), flat, method=method))
+    slope = jax.jit(jax.grad(lambda f: run(f).sum()))
+    for factor in (1.0033, 1.0128, 1.0132, 1.0199, 1.0553):
+        np.testing.assert_allclose(run(jnp.float32(factor)), flat, atol=1e-6)
+        assert abs(slope(jnp.float32(factor))) < 1
+
+
 @pytest.mark.parametrize("start", [1.78, 2.06])
 def test_factor_is_found_by_gradient(start):
     image = smooth_image((16, 16, 3), 2).astype(np.float32)
