@@ -8,4 +8,4 @@ class InputError(ValueError):
 def one_line(error: BaseException, most: int = 200) -> str:
     """What an error says, as one line of at most so many characters."""
     text = " ".join(str(error).split())
-    return text if len(text) <= most else text[:most] + "..."
+    return text if len(text) <= most else text[: most - 3] + "..."

@@ -94,6 +94,8 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
             "smaller than a patch",
         ),
         (("train", "--resume", "-o", "RUN"), "or --resume with a run"),
+        (("train", "--coordinator", "host", "-o", "RUN"), "expected HOST:PORT or auto"),
+        (("train", "--processes", 2, "--process-id", 0, "-o", "RUN"), "need --coordinator"),
         (("denoise", "--run", "MISSING", "CLEAN", "-o", "RUN"), "holds no run"),
         (("evaluate", "--run", "MISSING", "CLEAN"), "holds no run"),
     ],

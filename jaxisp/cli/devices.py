@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import re
 import sys
 from typing import Any
 
@@ -41,10 +42,14 @@ def join(arguments: argparse.Namespace) -> None:
     """Join the other processes, where there are any.
 
     Raises:
-        InputError: they cannot be joined.
+        InputError: they cannot be joined, or it is not said where.
     """
     if not arguments.coordinator:
+        if arguments.processes or arguments.process_id is not None:
+            raise InputError("--processes and --process-id need --coordinator HOST:PORT")
         return
+    if arguments.coordinator != "auto" and not re.fullmatch(r".+:\d+", arguments.coordinator):
+        raise InputError(f"--coordinator {arguments.coordinator}: expected HOST:PORT or auto")
     import jax
 
     sys.stdout.flush()

@@ -26,7 +26,10 @@ def shard_name(shard: int, count: int) -> str:
 def stands(out: Path, name: str) -> bool:
     """Whether a shard was written whole."""
     note, path = out / f"{name}.json", out / f"{name}.array_record"
-    return note.is_file() and path.is_file() and path.stat().st_size == _read_json(note)["bytes"]
+    if not (note.is_file() and path.is_file()):
+        return False
+    told = _read_json(note)
+    return told.keys() >= {"bytes", "sha256", "indices"} and path.stat().st_size == told["bytes"]
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:

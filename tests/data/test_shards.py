@@ -105,6 +105,9 @@ def test_damage_is_found(photos, tmp_path):
     with pytest.raises(InputError, match="damaged"):
         for i in range(len(source)):
             source.arrays(i)
+    path.with_suffix(".json").write_text("{}")
+    with pytest.raises(InputError, match="1 of 1 shards are missing"):
+        ShardSource(tmp_path)
     (tmp_path / "manifest.json").write_text("{")
     with pytest.raises(InputError, match=r"manifest\.json: is damaged"):
         ShardSource(tmp_path)
