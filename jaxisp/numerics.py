@@ -23,12 +23,6 @@ def materialize(x: Any) -> Any:
     return lax.platform_dependent(x, cpu=store, default=lambda v: v)
 
 
-def safe_pow(x: jax.Array, exponent: Any) -> jax.Array:
-    """max(x, 0)**exponent with a finite gradient at and below 0 (it is 0 there)."""
-    positive = x > 0
-    return jnp.where(positive, jnp.where(positive, x, 1.0) ** exponent, 0.0)
-
-
 def safe_sqrt(x: jax.Array) -> jax.Array:
     """sqrt(max(x, 0)) with a finite gradient at and below 0 (it is 0 there)."""
     positive = x > 0

@@ -81,11 +81,6 @@ def parameters(cls: type[T]) -> type[T]:
     return jax.tree_util.register_dataclass(cls)
 
 
-def is_parameters(value: Any) -> bool:
-    """Whether `value` is an instance of a `@parameters` class."""
-    return dataclasses.is_dataclass(value) and any("spec" in f.metadata for f in dataclasses.fields(value))
-
-
 def specs(cls: type) -> dict[str, Spec]:
     """The specs of a `@parameters` class by field name."""
     return {f.name: f.metadata["spec"] for f in dataclasses.fields(cls)}

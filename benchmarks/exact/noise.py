@@ -12,6 +12,7 @@ from benchmarks.exact.row import Row, largest
 from jaxisp.cfa import PATTERNS
 from jaxisp.pipeline import run, stage
 from jaxisp.stages import noise
+from jaxisp.stages.noise import light
 from tests.stages.test_demosaic import mosaic_of
 
 SCIPY = f"SciPy {scipy.__version__}"
@@ -55,7 +56,7 @@ def quantiles() -> Row:
     u, wrong = (np.arange(20001) + 0.5) / 20001, 0
     with jax.enable_x64(True):
         for mean in (0.01, 0.3, 1.3, 4.0, 8.0, 12.5, 15.99):
-            got = np.round(noise._summed(jnp.asarray(u), jnp.full(u.shape, mean)) + mean)
+            got = np.round(light._summed(jnp.asarray(u), jnp.full(u.shape, mean)) + mean)
             wrong += int(np.sum(got != stats.poisson.ppf(u, mean)))
     ran = "20001 quantiles each of means 0.01 to 15.99, double precision"
     return Row("poisson_noise, quantiles", SCIPY, ran, wrong, 0, "counts that differ")
@@ -64,7 +65,7 @@ def quantiles() -> Row:
 def distribution() -> Row:
     """From 16 on it is an expansion: the largest error of a probability."""
     u = (np.arange(1_000_000) + 0.5) / 1_000_000
-    expanded, worst = jax.jit(noise._expanded), []
+    expanded, worst = jax.jit(light._expanded), []
     with jax.enable_x64(True):
         for mean in (16.0, 16.7, 30.0, 100.3, 1e3, 1e4):
             values = np.round(np.asarray(expanded(2 * u - 1, np.full(u.shape, mean))) + mean)

@@ -1,6 +1,5 @@
 """Clean photographs in memory: read, made smaller in linear light, kept as 16 bits."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from jaxisp import cores
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
@@ -58,8 +58,7 @@ def load_clean(
 ) -> CleanImages:
     """Read the photographs of folders (and those below), each made smaller by a whole factor.
 
-    Making a photograph smaller takes noise and the traces of its own processing away: means of
-    `downsample` x `downsample` pixels in linear light.
+    Making a photograph smaller takes noise and the traces of its own processing away: `downsample_linear`.
 
     Args:
         paths: files and folders.
@@ -84,7 +83,7 @@ def load_clean(
         except InputError as error:
             return str(error)
 
-    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(min(8, cores.available())) as pool:
         for done, (path, got) in enumerate(zip(files, _ahead(pool, read, files))):
             tick(done + 1, len(files), path.name)
             if isinstance(got, str):

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
+from jaxisp.color import LUMA_601
 from jaxisp.fit import noise
 from jaxisp.fit.pair import Example
 from jaxisp.fit.render import render, similarity
@@ -99,7 +100,7 @@ def _flags(pair: PairResult, done: np.ndarray, target: np.ndarray, masks: Split)
 
 def local_processing(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
     """(rms of what is left in the means of tiles [level], share of detailed tiles that lost their detail)."""
-    luma = np.asarray([0.299, 0.587, 0.114], np.float32)
+    luma = np.asarray(LUMA_601, np.float32)
     a, b = (_patches(picture @ luma) for picture in (done, target))
     whole = _patches(mask).all(axis=(-2, -1))
     if not whole.any():

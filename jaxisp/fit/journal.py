@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.fit.state import State
-from jaxisp.io import atomic_write
+from jaxisp.io.files import write_text
 from jaxisp.io.locks import locked
 
 VERSION = 1
@@ -58,8 +58,7 @@ class Journal:
         """Note where a job is."""
         self.entries[job] = {"state": _encode(state), "finished": finished}
         if self.path is not None and self.writes:
-            with atomic_write(self.path) as file:
-                file.write(json.dumps({"print": self.print, "jobs": self.entries}).encode())
+            write_text(self.path, json.dumps({"print": self.print, "jobs": self.entries}))
 
     def remove(self) -> None:
         """The fit is done."""

@@ -53,10 +53,6 @@ class Lens(NamedTuple):
             "blue": radius * (1 / float(self.blue) - 1),
         }
 
-    def is_identity(self) -> bool:
-        """Whether it leaves every pixel where it is."""
-        return all(float(v) == w for v, w in zip(self, STRAIGHT))
-
 
 STRAIGHT = Lens()
 

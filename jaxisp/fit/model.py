@@ -5,6 +5,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from jaxisp import jpeg_codec
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, Saturation
@@ -187,8 +188,7 @@ _HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 def encodable(jpeg: Jpeg | None) -> TypeGuard[Jpeg]:
     """Whether there is a file whose encoder is among the stages."""
-    sampled = ("4:4:4", "4:2:2", "4:2:0")
-    return jpeg is not None and jpeg.subsampling in sampled and jpeg.color_space == "YCbCr"
+    return jpeg is not None and jpeg.subsampling in jpeg_codec.SAMPLING and jpeg.color_space == "YCbCr"
 
 
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:

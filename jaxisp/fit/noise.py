@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.color import rgb_to_ycbcr_planes
+from jaxisp.color import LUMA_601, rgb_to_ycbcr_planes
 from jaxisp.fit.planes import blur
 from jaxisp.numerics import planes
 
@@ -48,7 +48,7 @@ def regions(target: np.ndarray, mask: np.ndarray) -> Regions:
         target: (H, W, 3) encoded; sizes that are no multiple of 16 lose the rest.
         mask: (H, W), where pixels count.
     """
-    y = target @ np.asarray([0.299, 0.587, 0.114], target.dtype)
+    y = target @ np.asarray(LUMA_601, target.dtype)
     smooth = blur(blur(y.astype(np.float64)))
     structure = np.sqrt(np.mean(np.asarray(_detrended(smooth, np)) ** 2, axis=(-2, -1)))
     level = _blocks(smooth, np).mean(axis=(-2, -1))

@@ -24,7 +24,7 @@ from jaxisp.fit.tiles import HALO, SIDE, TILE, TILES, Chunk, no_chunk
 from jaxisp.numerics import materialize, planes
 from jaxisp.pipeline import Chain, Params, stage
 from jaxisp.stages.jpeg import JpegTables
-from jaxisp.stages.optics import _radial_gain
+from jaxisp.stages.optics.light import radial_gain
 
 AFTER = 8  # px of the halo that are seen after denoising: unsharp mask 6, chroma sampling 2
 ROBUST = 0.02  # level; larger residuals count less than by their square
@@ -57,7 +57,7 @@ def _warped(source: jax.Array, at: jax.Array, lines: Any, optics: lens.Lens, cor
 def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: jax.Array) -> jax.Array:
     """Vignetting and `model.front`; `median` is the index of its footprint in `model.MEDIANS`."""
     shading = params["vignetting"]
-    gain = _radial_gain(radius2, shading.a2, shading.a4, shading.a6)
+    gain = radial_gain(radius2, shading.a2, shading.a4, shading.a6)
     before, after = model.around_median(place)
     filters = [stage("median", footprint=size) if size else Chain((), "no median") for size in model.MEDIANS]
     image = materialize(before(params, warped * gain[..., None]))

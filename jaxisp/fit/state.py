@@ -29,13 +29,14 @@ class State:
     done: int = 0
     idle: int = 0
 
-    def moved(self, step: np.ndarray, **changes: Any) -> "State":
+    def moved(self, step: np.ndarray) -> "State":
+        """With a step on all vectors, in a row."""
         flat = np.concatenate([self.camera, *self.images, *self.places]) + step
         sizes = [len(v) for v in (self.camera, *self.images, *self.places)]
         parts = np.split(flat, np.cumsum(sizes)[:-1])
         n = len(self.images)
         return dataclasses.replace(
-            self, camera=parts[0], images=tuple(parts[1 : 1 + n]), places=tuple(parts[1 + n :]), **changes
+            self, camera=parts[0], images=tuple(parts[1 : 1 + n]), places=tuple(parts[1 + n :])
         )
 
 

@@ -11,6 +11,7 @@ from scipy import special, stats
 
 from jaxisp.pipeline import run, stage
 from jaxisp.stages import noise
+from jaxisp.stages.noise import light
 from tests.conftest import smooth_image
 
 SHAPE = (128, 257)
@@ -103,13 +104,13 @@ def test_counts_are_poisson(mean):
 def test_summed_quantiles_are_scipys(x64):
     u = (np.arange(4001) + 0.5) / 4001
     for mean in (0.0, 0.01, 1.3, 8.0, 15.99):
-        got = noise._summed(jnp.asarray(u), jnp.full(u.shape, mean)) + mean
+        got = light._summed(jnp.asarray(u), jnp.full(u.shape, mean)) + mean
         np.testing.assert_array_equal(np.round(got), stats.poisson.ppf(u, mean) if mean else 0 * u)
 
 
 def test_expanded_quantiles_have_the_right_distribution(x64):
     u = (np.arange(1_000_000) + 0.5) / 1_000_000
-    expanded = jax.jit(noise._expanded)
+    expanded = jax.jit(light._expanded)
     for mean, bound in ((16.0, 2e-5), (16.7, 2e-5), (100.3, 2e-6), (1e4, 1.1e-6)):
         counts = np.round(np.asarray(expanded(2 * u - 1, np.full(u.shape, mean))) + mean)
         k, first = np.unique(counts, return_index=True)

@@ -12,8 +12,6 @@ from jaxisp.stages.noise.light import (
     poisson_noise,
     shot_read_noise,
 )
-from jaxisp.stages.noise.light import _expanded as _expanded
-from jaxisp.stages.noise.light import _summed as _summed
 from jaxisp.stages.noise.patterns import (
     ColumnNoise,
     Prnu,

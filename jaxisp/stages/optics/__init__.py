@@ -25,7 +25,6 @@ from jaxisp.stages.optics.light import (
     veiling_glare,
     vignetting,
 )
-from jaxisp.stages.optics.light import _radial_gain as _radial_gain
 
 __all__ = [
     "AffineExposure",

@@ -95,7 +95,7 @@ def vignetting(params: Vignetting, image: LinearRGB) -> LinearRGB:
     here of the logarithm; r as in DNG's FixVignetteRadial.
     """
     r2 = radius_squared(image.shape, image.dtype)
-    return image * _radial_gain(r2, params.a2, params.a4, params.a6)[..., None]
+    return image * radial_gain(r2, params.a2, params.a4, params.a6)[..., None]
 
 
 @parameters
@@ -127,12 +127,12 @@ def color_shading(params: ColorShading, image: LinearRGB) -> LinearRGB:
     """
     r2 = radius_squared(image.shape, image.dtype)
     r, g, b = planes(image)
-    red = _radial_gain(r2, params.red_a2, params.red_a4)
-    return jnp.stack([r * red, g, b * _radial_gain(r2, params.blue_a2, params.blue_a4)], axis=-1)
+    red = radial_gain(r2, params.red_a2, params.red_a4)
+    return jnp.stack([r * red, g, b * radial_gain(r2, params.blue_a2, params.blue_a4)], axis=-1)
 
 
-def _radial_gain(r2: jax.Array, *coefficients: jax.Array) -> jax.Array:
-    """2 to the even polynomial of r."""
+def radial_gain(r2: jax.Array, *coefficients: jax.Array) -> jax.Array:
+    """2 to the even polynomial of r, whose coefficients [EV] begin with that of `r2`, r squared."""
     ev = jnp.zeros_like(r2)
     for a in reversed(coefficients):
         ev = r2 * (jnp.asarray(a, r2.dtype) + ev)
