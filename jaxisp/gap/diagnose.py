@@ -115,7 +115,7 @@ def _report(case: Case, gap: Gap, found: Found, located: list[dict[str, Any]], b
     problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
     after = found.causes[-1][0].after if found.causes else gap.before
-    causes = [cause_row(t, alike, gap.scale, len(case.offered), problem.model) for t, alike in found.causes]
+    causes = [cause_row(t, alike, len(case.offered), problem.model) for t, alike in found.causes]
     return {
         "schema": 1,
         "kind": case.kind,

@@ -27,7 +27,7 @@ def base_row(
     return row if given is None else row | {"given": given}
 
 
-def cause_row(trial: Trial, alike: list[str], scale: float, tried: int, model: Model) -> dict[str, Any]:
+def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[str, Any]:
     effect = EFFECTS[trial.effect]
     params: dict[str, Any] = dict(trial.params)
     for i in () if params else model.indices([trial.effect]):
