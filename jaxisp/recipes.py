@@ -10,10 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxisp.errors import InputError
-from jaxisp.pipeline import Chain, stage
+from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.stages.denoise.bilateral import Bilateral
+from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import JpegPhotoshop
 from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
@@ -100,6 +101,12 @@ def phone_shot() -> Recipe:
     return _phone("phone-shot", text, noise=SHOT_NOISE)
 
 
+def phone_any() -> Recipe:
+    """`phone-shot` that denoises little, much or not at all: cameras differ in nothing more."""
+    text = "phone-shot with a median of strength 0 to 1, and the bilateral filter in every other picture only"
+    return _phone("phone-any", text, noise=SHOT_NOISE, always=False)
+
+
 RECIPES: dict[str, Callable[[], Recipe]] = {
     make.__name__.replace("_", "-"): make
     for make in (
@@ -114,6 +121,7 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
         phone_kodak,
         phone_authors_code,
         phone_shot,
+        phone_any,
     )
 }
 """The built-in recipes by the name that the command line takes."""
@@ -136,8 +144,14 @@ def _recipe(name: str, description: str, middle: tuple[Any, ...], prior: dict[st
 
 
 def _phone(
-    name: str, description: str, *, drop: tuple[str, ...] = (), noise: ShotReadNoise = PAPER_NOISE
+    name: str,
+    description: str,
+    *,
+    drop: tuple[str, ...] = (),
+    noise: ShotReadNoise = PAPER_NOISE,
+    always: bool = True,
 ) -> Recipe:
+    bilateral = stage("bilateral", chroma_cell=4, chroma_bins=20)
     nodes = (
         stage("srgb_eotf"),
         stage("mosaic", cfa=CFA),
@@ -146,7 +160,7 @@ def _phone(
         stage("adc_quantization"),
         stage("demosaic_hibbard", cfa=CFA),
         stage("median", footprint="cross"),
-        stage("bilateral", chroma_cell=4, chroma_bins=20),
+        bilateral if always else Gate(bilateral),
         stage("unsharp_mask"),
         stage("clip"),
         stage("srgb_oetf"),
@@ -160,6 +174,9 @@ def _phone(
         "unsharp_mask": UnsharpMask(amount=Uniform(0.0, 0.25), sigma=4.0, threshold=3 / 255),
         "jpeg_photoshop": JpegPhotoshop(level=Choice((4, 5, 6, 7))),
     }
+    if not always:
+        prior["median"] = Median(strength=Uniform(0.0, 1.0))
+        prior["use_bilateral"] = Switch(on=Choice((0.0, 1.0)))
     kept = {name: values for name, values in prior.items() if name not in drop}
     return Recipe(Chain(tuple(n for n in nodes if n.name not in drop), name), kept, description)
 

@@ -112,6 +112,14 @@ def test_the_paper_and_the_authors_code_draw_other_noise():
     assert code.min() >= 0.0099 and code.max() <= 0.2002 and code.max() > 0.15
 
 
+def test_some_cameras_of_any_kind_do_not_denoise():
+    recipe = RECIPES["phone-any"]()
+    drawn = jax.vmap(recipe.draw)(jax.random.split(jax.random.key(0), 200))
+    strength = drawn["median"].strength
+    assert 0.4 < drawn["use_bilateral"].on.mean() < 0.6
+    assert strength.min() < 0.05 and strength.max() > 0.95
+
+
 def test_find_recipe(tmp_path):
     assert find_recipe("phone") == RECIPES["phone"]()
     with pytest.raises(InputError, match="no recipe named 'fone'; there are awgn"):

@@ -7,7 +7,7 @@ from experiments.denoisers.training import FITTED
 TABLE = Table(
     "noise_models",
     "What the noise is modelled as in training",
-    ("awgn", "amwgn", "phone", "phone-authors-code", "phone-shot", FITTED),
+    ("awgn", "amwgn", "phone", "phone-authors-code", "phone-shot", "phone-any", FITTED),
     (*REAL, SIMULATED),
     baselines=True,
 )
