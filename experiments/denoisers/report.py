@@ -14,8 +14,8 @@ PSNR [dB] and SSIM (Gaussian window) in linear light. The clean picture is align
 scale, sub-pixel) and given the mean and standard deviation of what it is compared with, per channel, as
 in Jaroensri et al. 2019. After +-: the standard deviation over seeds. `change` is the PSNR of a network's
 output against its input, encoded: high where it does nothing. All networks of a table share
-configuration, clean patches and their order; they differ in the recipe alone. Nothing was chosen on
-iphone8.
+configuration, clean patches and their order; they differ in the recipe alone. Nothing was chosen by its
+figures on iphone8.
 
 Sets: `iphone8`, five crops of 200x200, a phone's JPEG against the mean of a RAW burst; `polyu`, nine
 JPEGs of full-frame cameras against means of 500 (middle 512x512); `sidd`, six phone crops before a

@@ -15,9 +15,9 @@ FITTED = "phone-fitted"
 """`phone` with the ranges of a camera that was fitted to the real RAW+JPEG pair."""
 
 SCALES: dict[str, dict[str, Any]] = {
-    # About ten minutes each on two cores that have nothing else to do.
+    # Half an hour each on one core, beside another.
     "cpu": {
-        "model": "unet", "steps": 2500, "batch": 6, "patch": 80, "downsample": 1, "per_image": 20,
+        "model": "unet", "steps": 20_000, "batch": 6, "patch": 80, "downsample": 1, "per_image": 20,
         "held_out": 6, "validation": 64, "checkpoint_every": 500,
     },
     # Jaroensri et al. 2019: N3Net as they used it, 100 epochs of 25,000 patches, linear light.
