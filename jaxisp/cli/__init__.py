@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from jaxisp import __version__
 from jaxisp.cache import keep_compiled
-from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, train
+from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
 from jaxisp.errors import InputError
 
-_MODULES = (demo, develop, fit, degrade, train, denoise, evaluate, diagnose, data, listings)
+_MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -169,7 +169,7 @@ def test_each_image_can_have_its_own_exposure(own):
         fit_examples([given], per_image=["sharpness"])
 
 
-def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path):
+def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys):
     from jaxisp.fit import prior_from_cameras
 
     result.camera.save(tmp_path / "camera.toml")
@@ -177,6 +177,14 @@ def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path):
     recipe.save(tmp_path / "prior.toml")
     loaded = Recipe.load(tmp_path / "prior.toml")
     assert loaded == recipe
+    several = ["recipe", str(tmp_path / "camera.toml"), str(tmp_path / "camera.toml"), "--json"]
+    assert main([*several, "-o", str(tmp_path / "several.toml")]) == 0
+    assert json.loads(capsys.readouterr().out)["recipe"] == str(tmp_path / "several.toml")
+    joined = Recipe.load(tmp_path / "several.toml")
+    assert joined.chain.nodes == recipe.chain.nodes
+    assert joined.prior["shot_read_noise"] == recipe.prior["shot_read_noise"]
+    assert main(["recipe", str(tmp_path / "prior.toml"), "-o", str(tmp_path / "none.toml")]) == 2
+    assert "is no camera from `jaxisp fit`" in capsys.readouterr().err
     clean = np.float32(scene("coffee", (48, 64))) ** (1 / 2.2)
     write_png(tmp_path / "clean.png", clean)
     assert degrade_files([tmp_path / "clean.png"], tmp_path / "out", loaded, count=2).images == 2

@@ -1,0 +1,45 @@
+"""`jaxisp recipe`: fitted cameras become what training data are drawn from."""
+
+from argparse import ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import Any
+
+from jaxisp.cli.common import add_command, print_json
+
+
+def add_commands(commands: Any) -> None:
+    command = add_command(commands, "recipe", run, "make a recipe for training data out of fitted cameras")
+    command.add_argument("cameras", nargs="+", metavar="CAMERA.toml", help="as jaxisp fit wrote them")
+    command.add_argument("-o", "--out", required=True, metavar="OUT.toml", help="for --recipe elsewhere")
+    command.add_argument(
+        "--spread", type=_factor, default=1.25, metavar="F",
+        help="widen the range that the cameras span by this factor (default 1.25)",
+    )  # fmt: skip
+    command.add_argument(
+        "--noise-spread", type=_factor, default=4.0, metavar="F",
+        help="the same for the variance of the noise, which goes with the ISO number (default 4)",
+    )  # fmt: skip
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 1 <= value <= 1000:
+        raise ArgumentTypeError(f"{text} is not from 1 to 1000")
+    return value
+
+
+def run(arguments: Namespace) -> int:
+    from jaxisp.fit import prior_from_cameras
+
+    recipe = prior_from_cameras(
+        arguments.cameras,
+        spread=arguments.spread,
+        noise_spread=arguments.noise_spread,
+        name=Path(arguments.out).stem,
+    )
+    recipe.save(arguments.out)
+    if arguments.json:
+        print_json({"recipe": arguments.out, "cameras": arguments.cameras})
+    else:
+        print(f"{arguments.out}: {recipe.description}")
+    return 0
