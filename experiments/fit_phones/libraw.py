@@ -12,20 +12,29 @@ import numpy as np
 import rawpy
 
 from experiments.fit_phones.common import SEED, Cases, Run, fitted, short
+from jaxisp.color import XYZ_TO_SRGB
 from jaxisp.io import write_dng, write_png
 from jaxisp.samples import PHONES, scene, scene_names, shoot
 
 DRAWS = 4  # of settings for each file
+FRAME = "ColorCheckerRAW_1920x1080_12bit_BGGR"
+"""A sensor's words without a header, of which its origin says: black about 200. It saturates at 4092."""
 ALGORITHMS = ("LINEAR", "VNG", "PPG", "AHD", "DCB")
 
 
 def runs(data: Path | None) -> dict[str, Run]:
     raws = sorted((data / "raw").glob("*.dng")) if data else []
-    return {
-        f"{path.stem}{f' {draw + 1}' * (draw > 0)}": partial(against_libraw, path, i + 10 * draw)
-        for i, path in enumerate(raws)
-        for draw in range(DRAWS)
-    } | {f"phone_{name}": partial(libraw_on_phone, name, 100 + i) for i, name in enumerate(PHONES)}
+    frame = data / "raw" / f"{FRAME}.raw" if data else None
+    frames = {FRAME: partial(libraw_on_frame, frame, 200)} if frame and frame.exists() else {}
+    return (
+        frames
+        | {
+            f"{path.stem}{f' {draw + 1}' * (draw > 0)}": partial(against_libraw, path, i + 10 * draw)
+            for i, path in enumerate(raws)
+            for draw in range(DRAWS)
+        }
+        | {f"phone_{name}": partial(libraw_on_phone, name, 100 + i) for i, name in enumerate(PHONES)}
+    )
 
 
 def libraw_on_phone(name: str, seed: int) -> dict[str, Any]:
@@ -35,6 +44,21 @@ def libraw_on_phone(name: str, seed: int) -> dict[str, Any]:
         path = Path(temporary) / f"phone_{name}.dng"
         write_dng(path, mosaic, **header)
         return against_libraw(path, seed)
+
+
+def libraw_on_frame(path: Path, seed: int) -> dict[str, Any]:
+    """The frame as a DNG of a camera that sees sRGB's primaries, balanced to grey on the whole."""
+    mosaic = np.fromfile(path, "<u2").reshape(1080, 1920)
+    light = [mosaic[i // 2 :: 2, i % 2 :: 2].astype(float).mean() - 200 for i in range(4)]
+    red, green, blue = light[3], (light[1] + light[2]) / 2, light[0]
+    with tempfile.TemporaryDirectory() as temporary:
+        dng = Path(temporary) / "frame.dng"
+        neutral = (red / green, 1.0, blue / green)
+        write_dng(
+            dng, mosaic, cfa="BGGR", black=(200,), white=4092, color_matrix=XYZ_TO_SRGB,
+            as_shot_neutral=neutral,
+        )  # fmt: skip
+        return against_libraw(dng, seed)
 
 
 def against_libraw(path: Path, seed: int) -> dict[str, Any]:
