@@ -78,9 +78,9 @@ def prior_from_cameras(
     prior: Params = {
         "scene_exposure": Exposure(exposure_ev=-ev),
         "exposure": Exposure(exposure_ev=ev),
-        "shot_read_noise": _noise(loaded, noise_spread),
+        "shot_read_noise": _noise([_stated(camera) for camera in loaded], noise_spread),
     }
-    gains = np.asarray(first.meta.get("raw_noise", {}).get("gains", [(1, 1, 1)])[0], np.float32)
+    gains = _stated(first)["gains"][0]
     prior |= {"scene_light": WhiteBalance(gains=1 / gains), "mosaic_white_balance": WhiteBalance(gains=gains)}
     for node in kept:
         if node.name.startswith("denoise_"):  # one undoes the other
@@ -116,16 +116,30 @@ def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:
     ]  # fmt: skip
 
 
-def _noise(cameras: Sequence[Recipe], spread: float) -> ShotReadNoise:
+def _stated(camera: Recipe) -> dict[str, np.ndarray]:
+    """Shot, read and gains as `jaxisp fit` noted them; without noise where it found none."""
+    noted = camera.meta.get("raw_noise", {"shot": [], "read": []})
+    try:
+        found: dict[str, np.ndarray] = {
+            name: np.asarray(noted[name], np.float32).reshape(-1) for name in ("shot", "read")
+        }
+        found["gains"] = np.asarray(noted.get("gains") or [(1, 1, 1)], np.float32).reshape(-1, 3)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise InputError(f"{camera.name!r}: meta.raw_noise is not as `jaxisp fit` writes it") from None
+    if not (found["gains"] > 0).all():
+        raise InputError(f"{camera.name!r}: meta.raw_noise.gains are not positive")
+    return found
+
+
+def _noise(noted: Sequence[dict[str, np.ndarray]], spread: float) -> ShotReadNoise:
     """The noise of the RAW files, or any where nothing is known of it."""
-    known = [c.meta["raw_noise"] for c in cameras if "raw_noise" in c.meta]
-    if not known:
-        return ANY_NOISE
     found: dict[str, Any] = {}
     for field, wider in ("shot", spread), ("read", spread**0.5):
-        values = [max(float(v), 1e-7) for noise in known for v in noise[field]]
+        values = np.maximum(np.concatenate([noise[field] for noise in noted]), 1e-7)
+        if not values.size:
+            return ANY_NOISE
         most = specs(ShotReadNoise)[field].bounds[1]
-        found[field] = LogUniform(min(values) / wider, min(max(values) * wider, most))
+        found[field] = LogUniform(float(values.min()) / wider, min(float(values.max()) * wider, most))
     return ShotReadNoise(**found)
 
 

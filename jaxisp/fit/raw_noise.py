@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import nnls
 
+from jaxisp.cfa import check_cfa
 from jaxisp.io.raw import Raw
 
 _BLOCK = 8
@@ -72,9 +73,15 @@ def estimate_raw_noise(mosaic: np.ndarray, cfa: str) -> np.ndarray | None:
         (3, 2): shot and read of R, G and B in `variance = shot * x + read**2`; None where the picture
         is smaller than some 450x450 pixels or clipped. An upper bound where all of it is textured.
 
+    Raises:
+        ValueError: unknown pattern, not (H, W), or not finite.
+
     Source: Foi et al. 2008, "Practical Poissonian-Gaussian noise modeling and fitting for single-image
     raw-data"; the operator is that of Immerkaer 1996, "Fast noise variance estimation".
     """
+    check_cfa(cfa)
+    if mosaic.ndim != 2 or not np.isfinite(mosaic).all():
+        raise ValueError(f"expected an (H, W) mosaic of finite values, got {mosaic.shape}")
     found = []
     for colour in "RGB":
         planes = [mosaic[i // 2 :: 2, i % 2 :: 2] for i, c in enumerate(cfa) if c == colour]
@@ -103,7 +110,7 @@ def _blocks(plane: np.ndarray) -> np.ndarray:
     """(N, 64)."""
     h, w = (n // _BLOCK for n in plane.shape)
     cut = plane[: h * _BLOCK, : w * _BLOCK].reshape(h, _BLOCK, w, _BLOCK)
-    return cut.swapaxes(1, 2).reshape(h * w, -1)
+    return cut.swapaxes(1, 2).reshape(h * w, _BLOCK * _BLOCK)
 
 
 def _line(level: np.ndarray, variance: np.ndarray) -> tuple[float, float]:

@@ -203,6 +203,20 @@ def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys
         prior_from_cameras([])
 
 
+@pytest.mark.parametrize(
+    "noted",
+    ["hello", {"shot": [1e-3]}, {"shot": "x", "read": [1]}, {"shot": [float("nan")], "read": [1e-3]},
+     {"shot": [1e-3], "read": [1e-3], "gains": [[0, 1, 2]]},
+     {"shot": [1e-3], "read": [1e-3], "gains": [[1, 2]]}],
+)  # fmt: skip
+def test_noise_that_no_fit_noted_is_refused(result, noted):
+    from jaxisp.fit import prior_from_cameras
+
+    meta = {**result.camera.meta, "raw_noise": noted}
+    with pytest.raises(InputError):
+        prior_from_cameras([dataclasses.replace(result.camera, meta=meta)])
+
+
 @pytest.mark.parametrize("orientation", [2, 3])
 def test_a_mirrored_or_turned_picture_is_turned_back_and_said_so(own, orientation):
     _, given = own

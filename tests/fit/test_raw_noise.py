@@ -51,9 +51,18 @@ def test_the_estimate_scales_with_the_picture():
 
 
 def test_what_cannot_show_its_noise_gives_none():
-    assert estimate_raw_noise(shot(light())[:200, :200], "RGGB") is None
+    for side in (0, 2, 15, 200):
+        assert estimate_raw_noise(shot(light())[:side, :side], "RGGB") is None
     assert estimate_raw_noise(np.ones(SHAPE), "RGGB") is None
     assert estimate_raw_noise(np.zeros(SHAPE), "RGGB") is None
+
+
+@pytest.mark.parametrize(
+    "mosaic, cfa", [(np.full(SHAPE, np.nan), "RGGB"), (light(), "XYZW"), (light()[0], "RGGB")]
+)
+def test_what_is_no_mosaic_is_refused(mosaic, cfa):
+    with pytest.raises(ValueError):
+        estimate_raw_noise(mosaic, cfa)
 
 
 def file(mosaic, white_balance, **facts):
