@@ -13,7 +13,12 @@ from jaxisp.io.files import PathLike, output_folder, reason
 
 @contextlib.contextmanager
 def locked(
-    folder: PathLike, *, name: str = ".lock", shared: bool = False, doing: str = "writing"
+    folder: PathLike,
+    *,
+    name: str = ".lock",
+    shared: bool = False,
+    wait: bool = False,
+    doing: str = "writing",
 ) -> Iterator[None]:
     """Make a folder and keep others out of it; the system frees the lock when the process dies.
 
@@ -21,13 +26,15 @@ def locked(
         folder: made where it is missing.
         name: of the lock file in it.
         shared: with others that share it, not with one that wants it alone.
+        wait: until the other process is done, for what takes no time.
         doing: what the other process is doing, for the error.
 
     Raises:
         InputError: another process holds it, or the folder cannot be written.
     """
     path = output_folder(folder) / name
-    with _lock_file(path, fcntl.LOCK_SH if shared else fcntl.LOCK_EX, doing):
+    kind = (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB)
+    with _lock_file(path, kind, doing):
         try:
             yield
         finally:
@@ -44,7 +51,7 @@ def _lock_file(path: Path, kind: int, doing: str) -> IO[bytes]:
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {reason(error)}") from error
         try:
-            fcntl.flock(file, kind | fcntl.LOCK_NB)
+            fcntl.flock(file, kind)
         except BlockingIOError as error:
             file.close()
             raise InputError(f"{path.parent}: another process is {doing} into this folder") from error

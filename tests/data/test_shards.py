@@ -2,12 +2,14 @@
 
 import fcntl
 import pickle
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from jaxisp.data import ShardSource, degrade_shards
-from jaxisp.data.shard_source import shard_name
+from jaxisp.data.shard_source import read_manifest, shard_name
 from jaxisp.data.shards import parse_shards
 from jaxisp.errors import InputError
 from jaxisp.generate import Work, degrade_files
@@ -125,6 +127,28 @@ def test_one_writer_a_shard_and_none_beside_plain_degrading(photos, tmp_path):
         assert degrade_shards(work(photos), tmp_path, 2).images
         with pytest.raises(InputError, match="another process is writing"):
             degrade_files([photos], tmp_path, RECIPES["amwgn"]())
+
+
+def test_of_two_that_start_at_once_with_different_recipes_one_is_refused(photos, tmp_path, monkeypatch):
+    written = Recipe.save
+
+    def slow(recipe, path):
+        written(recipe, path)
+        time.sleep(0.5)  # long enough for the other to find no manifest
+
+    monkeypatch.setattr(Recipe, "save", slow)
+
+    def ends(recipe):
+        try:
+            degrade_shards(work(photos, recipe), tmp_path, 1, only=[])
+        except InputError as error:
+            return str(error)
+        return recipe
+
+    with ThreadPoolExecutor() as pool:
+        one, other = sorted(pool.map(ends, ("amwgn", "awgn")), key=len)
+    assert "holds shards of recipe" in other
+    assert read_manifest(tmp_path)["recipe"] == Recipe.load(tmp_path / "recipe.toml").name == one
 
 
 def test_grain_reads_them_and_so_do_its_workers(written):
