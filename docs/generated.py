@@ -30,7 +30,7 @@ FAMILIES = {
     "Demosaicking": ("demosaic",),
     "Colour": ("balance",),
     "Automatic exposure and balance": ("auto",),
-    "Tone": ("tone",),
+    "Tone": ("power", "tone"),
     "Look": ("look",),
     "Denoising": ("denoise",),
     "Smoothing and sharpening": ("smoothing", "detail"),

@@ -1,7 +1,7 @@
-"""JPEG quantisation tables on the host: Annex K scaled by quality, Photoshop's levels, zigzag order.
+"""JPEG quantisation tables on the host: Annex K scaled by quality, Photoshop's levels.
 
-Tables are (8, 8) in natural order, row = vertical frequency. What decoders report (Pillow's
-`Image.quantization`) is natural order too; the file itself stores `ZIGZAG` order.
+Tables are (8, 8) in natural order, row = vertical frequency, as decoders report them (Pillow's
+`Image.quantization`); the file itself stores them in zigzag order.
 """
 
 import numpy as np
@@ -25,19 +25,6 @@ ANNEX_K_CHROMA = np.full((8, 8), 99)
 ANNEX_K_CHROMA[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
 
 
-def _zigzag() -> np.ndarray:
-    def place(i: int) -> tuple[int, int]:
-        row, column = divmod(i, 8)
-        diagonal = row + column
-        return diagonal, row if diagonal % 2 else column
-
-    return np.array(sorted(range(64), key=place))
-
-
-ZIGZAG = _zigzag()
-"""Natural index (8 * row + column) of each coefficient in the order the file stores them."""
-
-
 def quality_tables(quality: int) -> tuple[np.ndarray, np.ndarray]:
     """libjpeg's luma and chroma tables at a quality of 1 to 100."""
     if not 1 <= quality <= 100:
@@ -45,18 +32,6 @@ def quality_tables(quality: int) -> tuple[np.ndarray, np.ndarray]:
     scale = 5000 // quality if quality < 50 else 200 - 2 * quality
     luma, chroma = ((base * scale + 50) // 100 for base in (ANNEX_K_LUMA, ANNEX_K_CHROMA))
     return luma.clip(1, 255), chroma.clip(1, 255)
-
-
-def from_zigzag(values: np.ndarray) -> np.ndarray:
-    """The (8, 8) table whose 64 values stand in the order of the file."""
-    table = np.empty(64, np.asarray(values).dtype)
-    table[ZIGZAG] = values
-    return table.reshape(8, 8)
-
-
-def to_zigzag(table: np.ndarray) -> np.ndarray:
-    """The 64 values of an (8, 8) table in the order of the file."""
-    return np.asarray(table).reshape(64)[ZIGZAG]
 
 
 # fmt: off

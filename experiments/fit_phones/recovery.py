@@ -21,7 +21,8 @@ from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.optics import Exposure, Vignetting
-from jaxisp.stages.tone import Gamma, SCurve, ZoneCurve
+from jaxisp.stages.power import Gamma
+from jaxisp.stages.tone import SCurve, ZoneCurve
 
 DESIGNS = {
     "a": model.Design("demosaic_malvar"),

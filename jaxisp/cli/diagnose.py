@@ -50,7 +50,12 @@ def run(arguments: Namespace) -> int:
     page = found.save(arguments.out)
     if arguments.json:
         print_json(found.report)
-        return 0
+    else:
+        _print(found, page)
+    return 0
+
+
+def _print(found: Any, page: Path) -> None:
     gap = found.report["gap"]
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
     print(f"verdict: {found.verdict}; gap {before} -> {after}, floor {floor}")
@@ -63,7 +68,6 @@ def run(arguments: Namespace) -> int:
         print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
     _print_downstream(found.report.get("downstream"))
     print(f"{page} in {found.report['seconds']:.0f} s")
-    return 0
 
 
 def _print_downstream(found: dict[str, Any] | None) -> None:

@@ -45,28 +45,11 @@ def run(arguments: Namespace) -> int:
         use_cores(arguments.cpu_devices)
     import jax
 
-    from jaxisp.fit import fit_dataset, prior_from_cameras
-    from jaxisp.fit.journal import beside
+    from jaxisp.fit import prior_from_cameras
     from jaxisp.fit.report import write_report
-    from jaxisp.io import output_folder
 
     join(arguments)
-    for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
-        output_folder(Path(path).parent)
-    if arguments.report:
-        output_folder(arguments.report)
-    with progress("fitting") as tick:
-        result = fit_dataset(
-            arguments.dataset,
-            steps=arguments.steps,
-            demosaic=arguments.demosaic,
-            median=arguments.median,
-            starts=arguments.starts,
-            per_image=[name for name in arguments.per_image.split(",") if name],
-            journal=beside(arguments.out),
-            mesh=_mesh(bool(arguments.cpu_devices)),
-            tick=tick,
-        )
+    result = _fitted(arguments)
     if jax.process_index():  # the first writes for all
         return report_failures(result.failed)
     result.camera.save(arguments.out)
@@ -82,6 +65,29 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result, arguments.out)
     return report_failures(result.failed)
+
+
+def _fitted(arguments: Namespace) -> Any:
+    from jaxisp.fit import fit_dataset
+    from jaxisp.fit.journal import beside
+    from jaxisp.io import output_folder
+
+    for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
+        output_folder(Path(path).parent)
+    if arguments.report:
+        output_folder(arguments.report)
+    with progress("fitting") as tick:
+        return fit_dataset(
+            arguments.dataset,
+            steps=arguments.steps,
+            demosaic=arguments.demosaic,
+            median=arguments.median,
+            starts=arguments.starts,
+            per_image=[name for name in arguments.per_image.split(",") if name],
+            journal=beside(arguments.out),
+            mesh=_mesh(bool(arguments.cpu_devices)),
+            tick=tick,
+        )
 
 
 def _mesh(wanted: bool) -> Any:

@@ -15,7 +15,8 @@ from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.optics import Exposure, GeometricDistortion, LateralChromaticAberration, Vignetting
-from jaxisp.stages.tone import Gamma, SCurve, ZoneCurve
+from jaxisp.stages.power import Gamma
+from jaxisp.stages.tone import SCurve, ZoneCurve
 
 ZONES = 7
 """Control points of the tone curve, beside a gamma and an s-curve for its overall bend."""

@@ -84,60 +84,73 @@ class Rendered(NamedTuple):
     image: jax.Array
 
 
+class _Steps(NamedTuple):
+    """What one row of `vectors` (camera, image, geometry) does to the tiles of a chunk."""
+
+    problem: Problem
+    given: Given
+    chunk: Chunk
+
+    def params(self, vector: jax.Array) -> Params:
+        layout = self.problem.layout
+        camera, image, _ = jnp.split(vector, np.cumsum([layout.size(CAMERA), layout.size(IMAGE)]))
+        return layout.params(self.given.fixed, camera, image)
+
+    def lines(self, vector: jax.Array, at: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
+        moved = vector[-len(UNITS) :] * jnp.asarray(UNITS)
+        return _places(at, self.given.geometry + moved, optics, self.chunk.corner)
+
+    def warp(self, vector: jax.Array) -> jax.Array:
+        optics, corner, bends = lens.Lens.of(self.params(vector)), self.chunk.corner, self.given.bends
+
+        def tile(source: jax.Array, at: jax.Array) -> jax.Array:
+            return _warped(source, at, self.lines(vector, at, optics)[0], optics, corner, bends)
+
+        return jax.vmap(tile)(self.chunk.source, self.chunk.place)
+
+    def denoise(self, vector: jax.Array, warped: jax.Array) -> jax.Array:
+        values = self.params(vector)
+
+        def tile(image: jax.Array, at: jax.Array) -> jax.Array:
+            radius2 = self.lines(vector, at, lens.Lens.of(values))[1]
+            return _front(self.problem.place, self.given.median, values, image, radius2)
+
+        return jax.vmap(tile)(warped, self.chunk.place)
+
+    def finish(self, vector: jax.Array, denoised: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
+        values = self.params(vector)
+        shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
+        tail = model.back(self.problem.place)
+        images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
+        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
+        return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
+
+
 def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Array, chunk: Chunk) -> Rendered:
-    """The tiles rendered with each row of `vectors` (camera, image, geometry), row 0 and one a column.
+    """The tiles rendered with each row of `vectors`, row 0 and one a column.
 
     Each step is done again only for the columns that change it, the others share that of row 0; rows that
     are not `wanted` are left out (zeros).
     """
-    layout, cameras = problem.layout, problem.layout.size(CAMERA)
-    last = cameras + layout.size(IMAGE)
-    tail = model.back(problem.place)
+    steps, count = _Steps(problem, given, chunk), len(vectors)
     warps, denoises = (np.asarray([0, *(1 + i for i in columns)]) for columns in problem.before)
-
-    def params(vector: jax.Array) -> Params:
-        return layout.params(given.fixed, vector[:cameras], vector[cameras:last])
-
-    def lines(vector: jax.Array, at: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
-        return _places(at, given.geometry + vector[last:] * jnp.asarray(UNITS), optics, chunk.corner)
-
-    def warp(vector: jax.Array) -> jax.Array:
-        optics = lens.Lens.of(params(vector))
-
-        def tile(source: jax.Array, at: jax.Array) -> jax.Array:
-            return _warped(source, at, lines(vector, at, optics)[0], optics, chunk.corner, given.bends)
-
-        return jax.vmap(tile)(chunk.source, chunk.place)
-
-    def denoise(vector: jax.Array, index: jax.Array) -> jax.Array:
-        values = params(vector)
-
-        def tile(image: jax.Array, at: jax.Array) -> jax.Array:
-            radius2 = lines(vector, at, lens.Lens.of(values))[1]
-            return _front(problem.place, given.median, values, image, radius2)
-
-        return jax.vmap(tile)(warped[index], chunk.place)
-
-    def finish(vector: jax.Array, index: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
-        values = params(vector)
-        shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
-        values |= {model.SAMPLING: shares}
-        images = jax.vmap(lambda image: tail(values, image))(denoised[index])
-        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
-        return _residual(images, chunk).ravel(), _sums(images, chunk), images
-
-    count, image = len(vectors), jnp.zeros((TILES, SIDE, SIDE, 3))
-    warped = _each(warp, image, wanted[warps], vectors[warps])
+    image = jnp.zeros((TILES, SIDE, SIDE, 3))
+    warped = _each(steps.warp, image, wanted[warps], vectors[warps])
     sources = _standing(warps, count)[denoises]
-    denoised = _each(denoise, image, wanted[denoises], vectors[denoises], sources)
+    denoised = _each(
+        lambda vector, source: steps.denoise(vector, warped[source]),
+        image, wanted[denoises], vectors[denoises], sources,
+    )  # fmt: skip
     seen = slice(HALO - AFTER, AFTER - HALO)
     denoised = denoised[:, :, seen, seen]
     nothing = jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)
     rows = np.append(np.arange(count), 0)  # the last is what the encoder gets
     needed = jnp.append(wanted, given.encodes)
     sampled = np.append(np.ones(count, np.float32), np.float32(0))
-    of_rows = vectors[rows], _standing(denoises, count)[rows], sampled
-    residuals, sums, images = _each(finish, nothing, needed, *of_rows)
+    residuals, sums, images = _each(
+        lambda vector, source, share: steps.finish(vector, denoised[source], share),
+        nothing, needed, vectors[rows], _standing(denoises, count)[rows], sampled,
+    )  # fmt: skip
     return Rendered(residuals[:-1], sums[:-1], jnp.where(given.encodes, images[-1], images[0]))
 
 

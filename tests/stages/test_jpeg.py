@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image, JpegPresets
 
-from jaxisp.jpeg_tables import (
-    PHOTOSHOP_CHROMA,
-    PHOTOSHOP_LUMA,
-    ZIGZAG,
-    from_zigzag,
-    quality_tables,
-    to_zigzag,
-)
+from jaxisp.jpeg_tables import PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.stages.jpeg import Jpeg, JpegPhotoshop, JpegTables, jpeg, jpeg_photoshop, jpeg_tables
 from tests.conftest import smooth_image
 
@@ -137,14 +130,6 @@ def test_quality_tables_are_those_in_pillows_files():
             np.testing.assert_array_equal(got.ravel(), want)
     with pytest.raises(ValueError, match="quality"):
         quality_tables(0)
-
-
-def test_zigzag_walks_the_diagonals():
-    assert ZIGZAG[:10].tolist() == [0, 1, 8, 16, 9, 2, 3, 10, 17, 24]
-    steps = np.abs(np.diff(np.stack(np.divmod(ZIGZAG, 8))))
-    assert sorted(ZIGZAG) == list(range(64)) and steps.max() == 1
-    table = np.arange(64).reshape(8, 8)
-    np.testing.assert_array_equal(from_zigzag(to_zigzag(table)), table)
 
 
 @pytest.mark.parametrize("subsampling, margin", [("4:4:4", 8), ("4:2:0", 18)])

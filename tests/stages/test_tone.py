@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, run, signature, stage
 from jaxisp.stages import STAGES
+from jaxisp.stages.power import Gamma
 from jaxisp.stages.tone import (
-    Gamma,
     Gray18Gamma,
     HighlightRolloff,
     SCurve,
