@@ -34,6 +34,9 @@ def user_cache() -> Path:
 def keep_compiled(folder: str | Path | None = None) -> Path | None:
     """Let JAX keep compiled programs, for the whole process. What is set already stays as it is.
 
+    Best called before JAX is imported: after that, XLA's messages about programs that it loads, which speak
+    of errors and are none, cannot be kept from standard error.
+
     Args:
         folder: `cache_folder()` unless given.
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import parse_toml, write_text
+from jaxisp.io.files import parse_toml, reason, write_text
 from jaxisp.pipeline import over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.selfcheck import check_backend
@@ -19,6 +20,9 @@ from jaxisp.serialize import decode_node, decode_params, encode_node, encode_par
 from jaxisp.strips import Chain
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
+
+BRIGHTEST = 4.0
+"""Of encoded pictures; those that were sharpened or are linear light do not reach it, 8-bit levels do."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,13 +82,20 @@ class Recipe:
             one more axis a leaf.
 
         Raises:
-            TypeError: images are not (N, H, W, 3) floats.
+            TypeError: images are not (N, H, W, 3) floats, or the key is none.
+            ValueError: images in host memory are far above 1, as 8-bit levels are.
         """
         check_backend()
         shape = jnp.shape(images)
         if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
             got = f"{jnp.result_type(images)}{shape}"
             raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
+        if not isinstance(key, jax.Array | np.ndarray):
+            raise TypeError(f"recipe {self.name!r} takes a JAX key, as jax.random.key(0), got {key!r}")
+        if isinstance(images, np.ndarray) and images.size and (most := images.max()) > BRIGHTEST:
+            raise ValueError(
+                f"recipe {self.name!r} takes levels in [0, 1], got {most:g}: divide 8 bits by 255"
+            )
         return _degrade(self, key, jnp.asarray(images), start)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
@@ -127,7 +138,9 @@ class Recipe:
         """Read a TOML file. Raises InputError where it is missing or wrong."""
         try:
             text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {reason(error)}") from None
+        except UnicodeDecodeError as error:
             raise InputError(f"{path}: cannot be read as TOML ({error})") from None
         return cls.from_toml(text, str(path))
 

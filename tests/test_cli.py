@@ -43,6 +43,18 @@ def test_stages(capsys):
     assert "stages," in run(capsys, "stages")[1]
 
 
+def test_one_stage_is_told_whole(capsys):
+    status, out, _ = run(capsys, "stages", "jpeg")
+    assert status == 0 and "gradient: surrogate." in out and "source: ITU-T T.81" in out
+    assert "option subsampling, default '4:2:0'" in out and "[1.0, 100.0]" in out
+    assert [s["name"] for s in json.loads(run(capsys, "stages", "jpeg", "median", "--json")[1])] == [
+        "jpeg",
+        "median",
+    ]
+    status, out, err = run(capsys, "stages", "bilatera")
+    assert (status, out, err) == (2, "", "jaxisp: no stage named 'bilatera'; is it bilateral?\n")
+
+
 def test_recipes(capsys):
     listed = {r["name"]: r for r in json.loads(run(capsys, "recipes", "--json")[1])}
     assert listed["phone"]["draws"]["shot_read_noise.read"].startswith("uniform")
@@ -103,6 +115,11 @@ def test_degrade_goes_on_past_bad_files_and_lists_them(capsys, photographs, tmp_
         (("degrade", "PHOTOS", "-o", "FILE", "--recipe", "awgn"), "file"),
         (("develop", "PHOTOS/p0.png", "-o", "OUT.png"), "p0.png"),
         (("develop", "MISSING.dng", "-o", "OUT.png"), "missing"),
+        (("develop", "MISSING.dng", "-o", "OUT.jpg"), "only png is written"),
+        (
+            ("develop", "MISSING.dng", "-o", "OUT.png", "--camera", "MISSING.toml"),
+            "missing.toml: cannot be read: no such file or directory\n",
+        ),
         (("fit", "PHOTOS", "-o", "OUT.toml"), "photos"),
     ],
 )
@@ -121,6 +138,30 @@ def test_unusable_input_is_one_line_and_status_2(capsys, photographs, tmp_path, 
     assert status == 2 and not out
     assert err.count("\n") == 1 and message in err.lower()
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ("", "jaxisp: the following arguments are required: COMMAND; see jaxisp --help"),
+        ("fit x", "jaxisp fit: the following arguments are required: -o/--out; see jaxisp fit --help"),
+        ("fit x -o y --steps 0", "jaxisp fit: argument --steps: 0 is not positive; see jaxisp fit --help"),
+        (
+            "develop x -o y --camra z",
+            "jaxisp develop: unknown: --camra (is it --camera?); see jaxisp develop --help",
+        ),
+        ("data list --jsn", "jaxisp data list: unknown: --jsn (is it --json?); see jaxisp data list --help"),
+        (
+            "stages --json=1 --qqq",
+            "jaxisp stages: argument --json: ignored explicit argument '1'; see jaxisp stages --help",
+        ),
+    ],
+)
+def test_a_mistaken_call_is_one_line_and_status_2(capsys, arguments, line):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments.split())
+    assert caught.value.code == 2
+    assert capsys.readouterr() == ("", line + "\n")
 
 
 def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):

@@ -157,6 +157,14 @@ def test_wrong_images_are_refused(images):
         RECIPES["awgn"]().degrade(KEY, images)
 
 
+def test_levels_of_8_bits_and_a_key_that_is_none_are_refused_in_words():
+    images = np.full((1, 8, 8, 3), 200, np.float32)
+    with pytest.raises(ValueError, match="got 200: divide 8 bits by 255"):
+        RECIPES["awgn"]().degrade(KEY, images)
+    with pytest.raises(TypeError, match=r"jax\.random\.key\(0\), got 0"):
+        RECIPES["awgn"]().degrade(0, images / 255)
+
+
 def test_a_recipe_without_noise_needs_no_noise():
     recipe = Recipe(Chain((stage("unsharp_mask"),), "plain"), {})
     noisy, _, _ = recipe.degrade(KEY, IMAGES)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from jaxisp import __version__
 from jaxisp.cache import keep_compiled
 from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
+from jaxisp.cli.common import Parser
 from jaxisp.errors import InputError
 
 _MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
@@ -14,7 +15,7 @@ _MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagn
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="jaxisp", description="Simulate a camera's pipeline in JAX, and fit it to a real camera."
     )
     top.add_argument("--version", action="version", version=f"jaxisp {__version__}")

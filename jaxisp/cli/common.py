@@ -1,11 +1,28 @@
 """What the commands share: common options and printing."""
 
 import argparse
+import difflib
 import json
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """Mistakes in a call are told in one line, with what may have been meant."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuses what it does not know here, where the options of the command are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            options = [name for action in self._actions for name in action.option_strings]
+            close = difflib.get_close_matches(unknown[0].split("=")[0], options, 1)
+            self.error(f"unknown: {unknown[0]}" + f" (is it {close[0]}?)" * bool(close))
+        return known, unknown
 
 
 def add_command(
@@ -15,7 +32,7 @@ def add_command(
     command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
     command.add_argument("--seed", type=int, default=0, help="seed of all that is random (default 0)")
     if prints:
-        command.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+        command.add_argument("--json", action="store_true", help="print JSON and nothing else")
     command.set_defaults(run=run)
     return command
 

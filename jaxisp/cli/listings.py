@@ -1,13 +1,20 @@
 """`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: what there is."""
 
+import difflib
 from argparse import Namespace
 from typing import Any
 
 from jaxisp.cli.common import add_command, print_json, print_table
+from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
-    add_command(commands, "stages", run_stages, "list the stages with their parameters, bounds and units")
+    stages = add_command(
+        commands, "stages", run_stages, "list the stages with their parameters, bounds and units"
+    )
+    stages.add_argument(
+        "names", nargs="*", metavar="STAGE", help="tell all of these: options, gradient, source"
+    )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
     add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
 
@@ -16,8 +23,14 @@ def run_stages(arguments: Namespace) -> int:
     from jaxisp.catalogue import describe_stages
 
     stages = describe_stages()
+    if arguments.names:
+        stages = [_named(stages, name) for name in arguments.names]
     if arguments.json:
         print_json(stages)
+        return 0
+    if arguments.names:
+        for found in stages:
+            _print_stage(found)
         return 0
     rows = [
         (s["name"] if i == 0 else "", p["name"], p["default"], p["bounds"], p["unit"], p["scale"])
@@ -29,6 +42,30 @@ def run_stages(arguments: Namespace) -> int:
     print_table(("stage", "parameter", "default", "bounds", "unit", "scale"), rows)
     print(f"{len(stages)} stages, {sum(len(s['params']) for s in stages)} parameters")
     return 0
+
+
+def _named(stages: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    for found in stages:
+        if found["name"] == name:
+            return found
+    close = difflib.get_close_matches(name, [found["name"] for found in stages], 3)
+    raise InputError(f"no stage named {name!r}" + f"; is it {' or '.join(close)}?" * bool(close))
+
+
+def _print_stage(found: dict[str, Any]) -> None:
+    print(f"{found['name']}: {found['summary']}")
+    print(f"  {found['takes']} -> {found['gives']}{', random' if found['stochastic'] else ''}")
+    for title in ("gradient", "source"):
+        print(f"  {title}: {' '.join(found[title].split())}")
+    for option in found["static"]:
+        print(f"  option {option['name']}, default {option['default']!r}")
+    rows = [
+        (f"  {p['name']}", p["default"], p["bounds"], p["unit"], p["scale"], p["doc"])
+        for p in found["params"]
+    ]
+    if rows:
+        print_table(("  parameter", "default", "bounds", "unit", "scale", ""), rows)
+    print()
 
 
 def run_effects(arguments: Namespace) -> int:

@@ -94,8 +94,8 @@ def run(arguments: Namespace) -> int:
 
 def _print(result: Any) -> None:
     state = "done" if result.finished else "stopped; go on with --resume"
-    rate = f"{result.images_per_second:.0f} images/s on {result.devices}"
-    print(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}), {state}")
+    rate = f"{result.images_per_second:.0f} images/s on " if result.images_per_second else ""
+    print(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}{result.devices}), {state}")
     if result.validation:
         found = result.validation
         print(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")

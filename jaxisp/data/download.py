@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from jaxisp.errors import InputError, one_line
 
@@ -53,8 +54,10 @@ class _Resuming:
             if not self._get(requests, url):  # the server's file is another one now: from its start
                 self._forget()
                 self._get(requests, url)
-        except requests.RequestException as error:
+        except requests.HTTPError as error:
             raise ConnectionError(one_line(error, 160)) from error
+        except requests.RequestException as error:  # its text is of urllib3's objects
+            raise ConnectionError(f"no connection to {urlsplit(url).hostname}, or it broke") from error
         shutil.move(self.part, output_file)
         self._forget()
 
@@ -83,7 +86,7 @@ class _Resuming:
                 file.flush()
                 os.fsync(file.fileno())
         if total and done != total:
-            raise requests.ConnectionError(f"{done} of {total} bytes came")
+            raise ConnectionError(f"{done} of {total} bytes came")
         return True
 
     def _mark(self) -> str | None:

@@ -32,6 +32,7 @@ LEFT_OUT = (
 """Tone, colour and geometry: a denoiser is to take away noise, not to undo a look
 (Jaroensri et al. 2019)."""
 
+JPEG = "jpeg_tables"
 ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 
 
@@ -47,7 +48,8 @@ def prior_from_cameras(
     The photograph is brought to the level and balance that the camera's RAW would have, gets the RAW's
     noise, is balanced, and goes through the camera's stages; tone and colour are left out. Each number is
     drawn from the range that the cameras span, widened by `spread`. Choices that are no numbers (demosaicker,
-    footprint, JPEG tables, white balance) are those of the first camera.
+    footprint, order, white balance) are those of the first camera, the JPEG tables those of the first that
+    has some; the description says so where cameras differ.
 
     Args:
         cameras: recipes, or the CAMERA.toml files that `jaxisp fit` wrote.
@@ -70,7 +72,10 @@ def prior_from_cameras(
         if camera.chain.domain_in.name != "mosaic" or "exposure" not in camera.prior:
             raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: it takes no mosaic")
     first = loaded[0]
-    kept = [node for node in first.chain.nodes if node.name not in LEFT_OUT]
+    kept = [node for node in first.chain.nodes if node.name not in (*LEFT_OUT, JPEG)]
+    encoder = next((c for c in loaded if JPEG in c.prior), None)
+    if encoder:
+        kept += [node for node in encoder.chain.nodes if node.name == JPEG]
     cfa = dict(next(s for s in first.chain.stages() if s.name.startswith("demosaic_")).options)["cfa"]
     encoded = "denoise_encoding" not in first.prior
     chain = Chain(tuple(_nodes(kept, str(cfa), encoded)), name)
@@ -85,12 +90,20 @@ def prior_from_cameras(
     for node in kept:
         if node.name.startswith("denoise_"):  # one undoes the other
             prior[node.name] = first.prior[node.name]
-        elif node.name in first.prior and node.name != "jpeg_tables":
+        elif node.name in first.prior:
             prior[node.name] = _spanned([c.prior[node.name] for c in loaded if node.name in c.prior], spread)
-    if "jpeg_tables" in first.prior:
-        prior["jpeg_tables"] = first.prior["jpeg_tables"]
+    if encoder:
+        prior[JPEG] = encoder.prior[JPEG]
     text = f"noise and processing of {len(loaded)} fitted cameras, tone and colour left out"
+    if len({tuple(_design(camera)) for camera in loaded}) > 1:
+        text += f"; they differ in their stages: {', '.join(_design(first))} are those of the first"
     return Recipe(chain, prior, text, {"cameras": [", ".join(c.meta.get("fitted_to", [])) for c in loaded]})
+
+
+def _design(camera: Recipe) -> list[str]:
+    """Its demosaicker and median, where it has one."""
+    stages = [s for s in camera.chain.stages() if s.name.startswith(("demosaic_", "median"))]
+    return [" ".join([s.name, *(f"{v}" for k, v in s.options.items() if k != "cfa")]) for s in stages]
 
 
 def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:

@@ -43,7 +43,7 @@ class TrainResult:
         loss: of the last step; NaN where none was done.
         validation: the last one, {"loss", "psnr", "psnr_in"}, or None.
         best: {"step", "psnr"} of the best one, or None.
-        images_per_second: over this call, the first interval (with compilation) left out; 0 if that was all.
+        images_per_second: over this call without its first interval, which compiles; None if that was all.
         skipped: (file, reason) of photographs that could not be used.
         state: after the last step.
     """
@@ -56,7 +56,7 @@ class TrainResult:
     best: dict[str, float] | None
     parameters: int
     devices: str
-    images_per_second: float
+    images_per_second: float | None
     seconds: float
     skipped: tuple[tuple[str, str], ...]
     state: State
@@ -220,7 +220,7 @@ class _Run:
             best=None if best is None else {"step": best[0], "psnr": best[1]},
             parameters=count_parameters(self.model),
             devices=f"{self.mesh.size} x {device.device_kind}",
-            images_per_second=round(self.rate.mean, 2),
+            images_per_second=round(self.rate.mean, 2) or None,
             seconds=round(time.perf_counter() - self.clock, 2),
             skipped=self.images.skipped,
             state=self.state,

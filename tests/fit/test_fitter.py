@@ -16,8 +16,7 @@ from jaxisp.fit import fit_examples
 from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
 from jaxisp.fit.tiles import prepare, split
-from jaxisp.generate import degrade_files
-from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg, write_png
+from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
@@ -167,54 +166,6 @@ def test_each_image_can_have_its_own_exposure(own):
     assert min(p.held_out_psnr for p in both.pairs) > 35
     with pytest.raises(InputError, match="no fitted parameter is named 'sharpness'"):
         fit_examples([given], per_image=["sharpness"])
-
-
-def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys):
-    from jaxisp.fit import prior_from_cameras
-
-    result.camera.save(tmp_path / "camera.toml")
-    recipe = prior_from_cameras([tmp_path / "camera.toml", result.camera])
-    recipe.save(tmp_path / "prior.toml")
-    loaded = Recipe.load(tmp_path / "prior.toml")
-    assert loaded == recipe
-    several = ["recipe", str(tmp_path / "camera.toml"), str(tmp_path / "camera.toml"), "--json"]
-    assert main([*several, "-o", str(tmp_path / "several.toml")]) == 0
-    assert json.loads(capsys.readouterr().out)["recipe"] == str(tmp_path / "several.toml")
-    joined = Recipe.load(tmp_path / "several.toml")
-    assert joined.chain.nodes == recipe.chain.nodes
-    assert vars(joined.prior["shot_read_noise"]) == vars(recipe.prior["shot_read_noise"])
-    assert main(["recipe", str(tmp_path / "prior.toml"), "-o", str(tmp_path / "none.toml")]) == 2
-    assert "is no camera from `jaxisp fit`" in capsys.readouterr().err
-    clean = np.float32(scene("coffee", (48, 64))) ** (1 / 2.2)
-    write_png(tmp_path / "clean.png", clean)
-    assert degrade_files([tmp_path / "clean.png"], tmp_path / "out", loaded, count=2).images == 2
-    import jax
-
-    noisy, _, _ = loaded.degrade(jax.random.key(0), np.stack([clean] * 3))
-    noisy = np.asarray(noisy)
-    assert np.isfinite(noisy).all() and 15 < psnr(noisy[0], clean) < 45
-    assert (noisy[0] != noisy[1]).any()
-    stated, noise = result.camera.meta["raw_noise"], recipe.prior["shot_read_noise"]
-    assert not stated["measured"][0]
-    np.testing.assert_allclose((noise.shot.low, noise.shot.high), np.multiply(stated["shot"], (1 / 4, 4)))
-    np.testing.assert_allclose((noise.read.low, noise.read.high), np.multiply(stated["read"], (1 / 2, 2)))
-    np.testing.assert_allclose(recipe.prior["mosaic_white_balance"].gains, stated["gains"][0], rtol=1e-6)
-    with pytest.raises(InputError, match="at least one camera"):
-        prior_from_cameras([])
-
-
-@pytest.mark.parametrize(
-    "noted",
-    ["hello", {"shot": [1e-3]}, {"shot": "x", "read": [1]}, {"shot": [float("nan")], "read": [1e-3]},
-     {"shot": [1e-3], "read": [1e-3], "gains": [[0, 1, 2]]},
-     {"shot": [1e-3], "read": [1e-3], "gains": [[1, 2]]}],
-)  # fmt: skip
-def test_noise_that_no_fit_noted_is_refused(result, noted):
-    from jaxisp.fit import prior_from_cameras
-
-    meta = {**result.camera.meta, "raw_noise": noted}
-    with pytest.raises(InputError):
-        prior_from_cameras([dataclasses.replace(result.camera, meta=meta)])
 
 
 @pytest.mark.parametrize("orientation", [2, 3])
