@@ -16,12 +16,15 @@ from experiments.denoisers.classical import Denoise
 from experiments.denoisers.pairs import evaluation_set
 from experiments.denoisers.training import SCALES, Place, configuration, trained
 from jaxisp.cli.devices import use_cores
+from jaxisp.models import MODELS
 from jaxisp.train import AlignedPair, Denoiser, evaluate_pairs
 
 CEILINGS: dict[str, Callable[[AlignedPair], np.ndarray]] = {
     "clean in the camera's tone (no denoiser)": in_camera_tone,
     "and as sharp as the camera's (no denoiser)": in_camera_sharpness,
 }
+CHANGES = ("model", "steps", "light")
+"""What a command may have in place of its scale's."""
 _SEEN = {"encoded": "networks in encoded sRGB", "linear": "networks in linear light"}
 
 
@@ -51,14 +54,14 @@ def main(table: Table, arguments: Sequence[str] | None = None) -> None:
     options = _parser(table).parse_args(arguments)
     use_cores()
     place = Place(options.data, options.work, tuple(options.clean))
-    changes = {name: getattr(options, name) for name in ("steps", "light") if getattr(options, name)}
+    changes = {name: getattr(options, name) for name in CHANGES if getattr(options, name)}
     recipes = [name for name in table.recipes if name in options.recipes]
     rows = measure(table, place, options.scale, recipes, options.seeds, changes)
     settings = dataclasses.asdict(configuration(place, options.scale, "RECIPE", 0, **changes))
     for name in ("clean", "recipe", "seed"):
         del settings[name]
     result = {
-        "title": f"{table.title}: {settings['steps']} steps, {_SEEN[settings['light']]}",
+        "title": f"{table.title}: {settings['model']}, {settings['steps']} steps, {_SEEN[settings['light']]}",
         "command": f"python -m experiments.denoisers.{table.name} DATA --work RUNS --scale {options.scale}"
         + "".join(f" --{name} {value}" for name, value in changes.items()),
         "scale": options.scale,
@@ -66,7 +69,7 @@ def main(table: Table, arguments: Sequence[str] | None = None) -> None:
         "machine": machine(),
         "rows": rows,
     }
-    key = f"{table.name} {options.scale} {settings['steps']} {settings['light']}"
+    key = f"{table.name} {options.scale} {settings['steps']} {settings['light']} {settings['model']}"
     print(report.table_text(save(options.out, key, result)))
 
 
@@ -76,6 +79,7 @@ def _parser(table: Table) -> argparse.ArgumentParser:
     parser.add_argument("--work", type=Path, required=True, help="runs and aligned pairs are kept here")
     parser.add_argument("--clean", nargs="*", default=[], help="train on these, not on DATA/clean")
     parser.add_argument("--scale", choices=SCALES, default="cpu")
+    parser.add_argument("--model", choices=MODELS, help="in place of the scale's")
     parser.add_argument("--steps", type=int, help="in place of the scale's")
     parser.add_argument("--light", choices=("encoded", "linear"), help="in place of the scale's")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])

@@ -76,7 +76,7 @@ def configuration(place: Place, scale: str, recipe: str, seed: int, **changes: A
 def trained(place: Place, scale: str, recipe: str, seed: int, **changes: Any) -> tuple[str, Denoiser]:
     """The name of a run and its network, after training what is left of it."""
     config = configuration(place, scale, recipe, seed, **changes)
-    name = f"{recipe}-{scale}-{config.steps}-{config.light}-{seed}"
+    name = f"{recipe}-{scale}-{config.model}-{config.steps}-{config.light}-{seed}"
     run = place.work / name
     result = train(
         config,

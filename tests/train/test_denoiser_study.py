@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from experiments.denoisers import ablations, demosaicking, noise_models, raw_input, report, sanity, study
+from experiments.denoisers import (
+    ablations,
+    demosaicking,
+    noise_models,
+    noise_spectra,
+    raw_input,
+    report,
+    sanity,
+    study,
+)
 from experiments.denoisers.ceilings import in_camera_sharpness, in_camera_tone
 from experiments.denoisers.classical import METHODS, denoiser
 from experiments.denoisers.pairs import as_pair
@@ -101,3 +110,28 @@ def test_the_other_ceiling_is_as_sharp_as_the_noisy_picture(rng):
 def test_classical_denoisers_take_white_noise_off(name, pairs):
     mean = evaluate_pairs(denoiser(name, 1.0), pairs)["mean"]
     assert mean["psnr"] > mean["psnr_in"] + 2
+
+
+def test_spectra_of_noise_that_is_known(rng):
+    """White luma, no chroma noise but waves of 16 px in Cb: each figure has its closed form."""
+    y, x = np.mgrid[:256, :256]
+    ramp = np.stack([0.3 + 0.001 * x + 0.0005 * y] * 3, axis=-1)  # a plane, which is taken off
+    luma, wave = 0.02 * rng.standard_normal(x.shape), 0.01 * np.sin(2 * np.pi * x / 16)
+    rgb_of_cb = np.linalg.inv(noise_spectra.BT601)[:, 1]
+    noise = luma[..., None] + wave[..., None] * rgb_of_cb
+    tiles = [
+        255 * noise[i : i + 32, j : j + 32] @ noise_spectra.BT601.T
+        for i in range(0, 256, 32)
+        for j in range(0, 256, 32)
+    ]
+    found = noise_spectra.figures(tiles)
+    assert found["std"] == pytest.approx(255 * 0.02, rel=0.02)
+    assert found["lag1"] == pytest.approx(0, abs=0.02) and found["lag2"] == pytest.approx(0, abs=0.02)
+    assert found["chroma"] == pytest.approx(
+        0.25 * 0.01**2 / 0.02**2, rel=0.02
+    )  # half of a square, and of two planes one
+    assert found["wide"] > 0.8 and found["wide_luma"] == pytest.approx(np.pi / 12**2, rel=0.2)
+
+    pair = as_pair("a", np.float32(ramp + noise), np.float32(ramp))
+    flat = noise_spectra.figures(noise_spectra.flat_noise(pair))
+    assert flat["std"] == pytest.approx(found["std"], rel=0.05)
