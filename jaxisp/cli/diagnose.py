@@ -1,5 +1,6 @@
 """`jaxisp diagnose`: where the gap between a simulated and a real camera lies, and which effect causes it."""
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,7 @@ def run(arguments: Namespace) -> int:
             tick=tick,
         )
     page = found.save(arguments.out)
+    _warn(found.report)
     if arguments.json:
         print_json(found.report)
     else:
@@ -55,10 +57,20 @@ def run(arguments: Namespace) -> int:
     return 0
 
 
+def _warn(report: dict[str, Any]) -> None:
+    from jaxisp.gap.report import few_pairs
+
+    if few_pairs(report):
+        print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
+
+
 def _print(found: Any, page: Path) -> None:
+    from jaxisp.gap.report import unexplained
+
     gap = found.report["gap"]
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    print(f"verdict: {found.verdict}; gap {before} -> {after}, floor {floor}")
+    left = unexplained(found.report).replace("\N{NO-BREAK SPACE}", " ")
+    print(f"verdict: {found.verdict}; gap {before} -> {after}, floor {floor}" + (f"; {left}" if left else ""))
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")

@@ -9,8 +9,12 @@ from jaxisp.cli.common import add_command, print_json
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "recipe", run, "make a recipe for training data out of fitted cameras")
-    command.add_argument("cameras", nargs="+", metavar="CAMERA.toml",
-        help="as jaxisp fit wrote them; demosaicker, median and order are the first one's")
+    command.add_argument(
+        "cameras",
+        nargs="+",
+        metavar="CAMERA.toml",
+        help="as jaxisp fit wrote them; demosaicker, median and order are the first one's",
+    )
     command.add_argument("-o", "--out", required=True, metavar="OUT.toml", help="for --recipe elsewhere")
     command.add_argument(
         "--spread", type=_factor, default=1.25, metavar="F",

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,16 +11,30 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report_downstream import downstream_part
-from jaxisp.gap.report_plots import curve, data_uri, spectrum_picture
+from jaxisp.gap.report_params import parameters_of
+from jaxisp.gap.report_plots import curve, data_uri, difference_picture, gain_for, spectrum_picture
+from jaxisp.gap.report_words import any_of, chance, counted, finite, listed, number, percent, span, words
 from jaxisp.io.files import atomic_write, output_folder
 
 _ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("jaxisp", "gap"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
 _PLOTS, _BARS = 6, 8
-_PER_CENT = "\N{NO-BREAK SPACE}%"
+_WHEN = ("before", "after")
 _CLEAR = 0.05  # axes whose p-value is above are only listed
+_CONSIDERABLE = 0.15  # of the gap: what is left is said with the verdict
+_FEWEST = 4  # pairs; see docs/how-to/diagnose.md
+_SITES = {
+    "scene": "the scene's light",
+    "mosaic": "the mosaic as recorded",
+    "demosaic": "demosaicking, which it replaces",
+    "camera": "demosaicked camera RGB",
+    "linear": "linear sRGB, after the colour matrix",
+    "encoded": "the encoded picture",
+    "output": "what the file holds",
+}
 _STATUS = {
     "accepted": "found",
     "rejected": "",
@@ -70,21 +85,24 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     report = _plain(report)
     bars = _ranking(report)
     where = report["where"]
-    shown = [w for w in where if _finite(w["p_value"]) and w["p_value"] < _CLEAR][:_PLOTS] or where[:1]
+    shown = [w for w in where if finite(w["p_value"]) and w["p_value"] < _CLEAR][:_PLOTS] or where[:1]
     others = [w for w in where if w not in shown]
+    statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
         kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
         verdict=sentence(report),
         summary=_summary(report),
+        warning=few_pairs(report).capitalize(),
         metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
         gap=_gap(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
-        where=[_axis(w) for w in shown],
-        rest=", ".join(f"{_words(w['axis'])} {_percent(w['share'])}" for w in others),
+        statistics=statistics,
+        where=[_axis(w, statistics) for w in shown],
+        rest=", ".join(f"{words(w['axis'])} {percent(w['share'])}" for w in others),
         ranking=bars[:_BARS],
         more=bars[_BARS:],
         causes=[_cause(c) for c in report["causes"]],
-        left=_left(report["unexplained"]),
+        left=_left(report),
         next=_next(report["causes"]),
         downstream=downstream_part(report.get("downstream")),
         data=_data(report),
@@ -98,53 +116,65 @@ def sentence(report: Mapping[str, Any]) -> str:
         return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
     if report["verdict"] == "unknown" or not causes:
         return "There is a gap, and no effect of the library explains it."
+    left = unexplained(report)
+    rest = f". {left}." if left else "."
     if len(causes) == 1:
         c = causes[0]
-        return (
-            f"The simulator lacks {_group(c)}: it closes {_percent(c['closed'])} "
-            f"{_range(c['ci'])} of the gap on held-out pairs."
-        )
-    each = "; ".join(f"{_group(c)} ({_percent(c['closed'])} {_range(c['ci'])})" for c in causes)
+        closes = f"it closes {percent(c['closed'])} {span(c['ci'])} of the gap on held-out pairs"
+        return f"The simulator lacks {_group(c)}: {closes}{rest}"
+    each = "; ".join(f"{_group(c)} ({percent(c['closed'])} {span(c['ci'])})" for c in causes)
     return (
         f"The simulator lacks {len(causes)} effects, which close "
-        f"{_percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}."
+        f"{percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}{rest}"
     )
+
+
+def unexplained(report: Mapping[str, Any]) -> str:
+    """How much of the gap the named effects leave; "" where that is little, or none is named."""
+    share = report["unexplained"]["share"]
+    considerable = report["causes"] and finite(share) and share >= _CONSIDERABLE
+    return f"{percent(share)} of the gap stays unexplained" if considerable else ""
+
+
+def few_pairs(report: Mapping[str, Any]) -> str:
+    """A warning where there are fewer pairs than a diagnosis needs, else ""."""
+    names = [*report["pairs"]["fit"], *report["pairs"]["held_out"]]
+    count = len({re.sub(r" \((even|odd) tiles\)$", "", name) for name in names})
+    if count >= _FEWEST:
+        return ""
+    return f"only {counted(count, 'pair')}: intervals and the choice are not reliable; give at least four."
 
 
 def _summary(report: Mapping[str, Any]) -> str:
     gap = report["gap"]
     change = (
-        f"from {_number(gap['before'])} to {_number(gap['after'])}"
+        f"from {number(gap['before'])} to {number(gap['after'])}"
         if report["causes"]
-        else _number(gap["before"])
+        else number(gap["before"])
     )
-    parts = [f"The gap is {change} where the floor is {_number(gap['floor'])}."]
+    parts = [f"The gap is {change} where the floor is {number(gap['floor'])}."]
     if report["causes"]:
-        parts = [f"Adding it takes the gap {change}; the floor is {_number(gap['floor'])}."]
+        parts = [f"Adding it takes the gap {change}; the floor is {number(gap['floor'])}."]
         if len(report["causes"]) > 1:
             parts[0] = parts[0].replace("Adding it", "Adding them")
     if report["where"]:
-        parts.append(f"It shows most by {_words(report['where'][0]['axis'])}.")
+        parts.append(f"It shows most by {words(report['where'][0]['axis'])}.")
     return " ".join(parts)
 
 
 def _group(cause: Mapping[str, Any]) -> str:
-    return _any([cause["effect"], *cause["alternatives"]])
-
-
-def _any(names: Sequence[str]) -> str:
-    return " or ".join(map(_words, names))
+    return any_of([cause["effect"], *cause["alternatives"]])
 
 
 def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     values = [gap["before"], gap["after"], gap["floor"], *gap["ci"]]
-    top = max((v for v in values if _finite(v)), default=0) * 1.02 or 1
+    top = max((v for v in values if finite(v)), default=0) * 1.02 or 1
     floor = ("floor", gap["floor"], None)
     rows = [("before", gap["before"], None), ("after", gap["after"], gap["ci"]), floor]
     if not changed:
         rows = [("gap", gap["before"], gap["ci"]), floor]
     return [
-        _bar(name, value, top, _number(value) + (f" [{_number(ci[0])}, {_number(ci[1])}]" if ci else ""), ci)
+        _bar(name, value, top, number(value) + (f" [{number(ci[0])}, {number(ci[1])}]" if ci else ""), ci)
         | {"kind": name}
         for name, value, ci in rows
     ]
@@ -153,16 +183,16 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
 def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     found = {c["effect"]: c for c in report["causes"]}
     rows = report["ranking"]
-    top = max([1.0, *(c["ci"][1] for c in found.values() if _finite(c["ci"][1]))])
+    top = max([1.0, *(c["ci"][1] for c in found.values() if finite(c["ci"][1]))])
     bars = []
     for row in rows:
         cause = found.get(row["effect"])
         ci = cause["ci"] if cause else None
         bar = _bar(
-            _words(row["effect"]),
+            words(row["effect"]),
             row["closed"],
             top,
-            _percent(row["closed"]) + (f" {_range(ci)}" if ci else ""),
+            percent(row["closed"]) + (f" {span(ci)}" if ci else ""),
             ci,
         )
         bars.append(bar | {"kind": row["status"], "status": _STATUS.get(row["status"], row["status"])})
@@ -171,49 +201,46 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
     def place(x: float) -> float:
-        return round(100 * min(max(x / top, 0), 1), 2) if _finite(x) else 0
+        return round(100 * min(max(x / top, 0), 1), 2) if finite(x) else 0
 
     span = None
-    if ci and all(map(_finite, ci)):
+    if ci and all(map(finite, ci)):
         span = (place(ci[0]), max(round(place(ci[1]) - place(ci[0]), 2), 0.3))
     return {"name": name, "value": text, "width": place(value), "range": span}
 
 
-def _axis(w: Mapping[str, Any]) -> dict[str, Any]:
-    of = f"; {w['channel']}" if w.get("channel") else ""
-    unit = f", {w['unit']}" if w.get("unit") else ""
-    return {
-        "name": _words(w["axis"]),
-        "share": _percent(w["share"]),
-        "p": _chance(w["p_value"]),
-        "note": of + unit,
-        "plot": Markup(curve(w["bins"], w["profile"], f"residual by {_words(w['axis'])}")),
-    }
+def _axis(w: Mapping[str, Any], statistics: bool) -> dict[str, Any]:
+    shown = {"name": words(w["axis"]), "share": percent(w["share"]), "p": chance(w["p_value"])}
+    if statistics:
+        rows, note = statistic_rows(w)
+        return shown | {"meaning": STATISTICS.get(w["axis"], ""), "rows": rows, "note": note}
+    plot = Markup(curve(w["bins"], w["profile"], f"residual by {shown['name']}"))
+    up = ", ".join(filter(None, (w.get("channel"), w.get("unit"))))
+    return shown | {"meaning": PIXELS.get(w["axis"], ""), "plot": plot, "note": up and f"up: {up}"}
 
 
 def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
     facts = [
-        ("closes", f"{_percent(c['closed'])} {_range(c['ci'])} of the gap, p {_chance(c['p_value'])}"),
-        ("gap", f"{_number(c['gap_before'])} to {_number(c['gap_after'])}"),
-        ("goes to", c["site"]),
-        ("parameters", ", ".join(f"{k} {_value(v)}" for k, v in c["params"].items())),
-        ("looks the same", ", ".join(map(_words, c["alternatives"]))),
+        ("closes", [f"{percent(c['closed'])} {span(c['ci'])} of the gap, p {chance(c['p_value'])}"]),
+        ("gap", [f"{number(c['gap_before'])} to {number(c['gap_after'])}"]),
+        ("acts on", [_SITES.get(c["site"], c["site"])]),
+        ("parameters", parameters_of(c)),
+        ("looks the same", [", ".join(map(words, c["alternatives"]))]),
     ]
-    return {"name": _words(c["effect"]).capitalize(), "facts": [(t, v) for t, v in facts if v]}
+    return {"name": words(c["effect"]).capitalize(), "facts": [(t, v) for t, v in facts if any(v)]}
 
 
-def _left(left: Mapping[str, Any]) -> str:
-    text = str(left["description"]).strip()
-    text = text[:1].upper() + text[1:]
-    if not text:
-        text = f"{_percent(left['share'])} of the gap"
-        text += f", by {', '.join(map(_words, left['axes']))}" if left["axes"] else ""
-    return text if text.endswith((".", "!", "?")) else text + "."
+def _left(report: Mapping[str, Any]) -> str:
+    left = report["unexplained"]
+    if report["verdict"] == "none":
+        return "Nothing beyond what cameras that lack nothing leave."
+    shows = f" It shows by {listed([words(a) for a in left['axes']])}." if left["axes"] else ""
+    return f"{percent(left['share'])} of the gap is left.{shows}"
 
 
 def _next(causes: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
-        f"To tell {_words(c['effect'])} from {_any(c['alternatives']) or 'its look-alikes'}: "
+        f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
         f"{c['next_measurement']}."
         for c in causes
         if c["next_measurement"]
@@ -222,15 +249,15 @@ def _next(causes: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     base, pairs = report["base"], report["pairs"]
-    absorbed = ", ".join(f"{_words(n)} {_percent(s)}" for n, s in base["absorbed"].items())
+    absorbed = ", ".join(f"{words(n)} {percent(s)}" for n, s in base["absorbed"].items())
     failed = "; ".join(f"{f['file']}: {f['reason']}" for f in pairs.get("failed", ()))
     rows = [
         ("simulator", base.get("given", "")),
-        ("base", ", ".join(map(_words, base["stages"]))),
-        ("fitted in it", ", ".join(map(_words, base["fitted"]))),
+        ("base", ", ".join(map(words, base["stages"]))),
+        ("fitted in it", ", ".join(map(words, base["fitted"]))),
         ("taken up by it", absorbed or "nothing of note"),
-        ("fitted on", f"{len(pairs['fit'])} pairs: {', '.join(pairs['fit'])}"),
-        ("held out", f"{len(pairs['held_out'])} pairs: {', '.join(pairs['held_out'])}"),
+        ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
+        ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
         ("left aside", failed),
         ("time", f"{report['seconds']:.0f} s"),
     ]
@@ -240,61 +267,12 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
     shown = [("the camera's", pictures.get("target")), ("simulator, before", pictures.get("before"))]
     shown.append(("simulator, after", pictures.get("after")))
-    for key, caption in (("residual_before", "difference before"), ("residual_after", "difference after")):
-        if pictures.get(key) is not None:
-            shown.append((f"{caption}, x8 about grey", _difference(pictures[key])))
+    differences = {w: pictures[f"residual_{w}"] for w in _WHEN if pictures.get(f"residual_{w}") is not None}
+    gain = gain_for(list(differences.values()))
+    for when, residual in differences.items():
+        caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
+        shown.append((caption, difference_picture(residual, gain)))
     if pictures.get("spectrum_before") is not None:
         shown.append(("spectrum of the difference", spectrum_picture(pictures["spectrum_before"])))
     figures = [{"caption": text, "uri": data_uri(a)} for text, a in shown if a is not None]
     return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None
-
-
-def _difference(residual: Any, gain: float = 8) -> np.ndarray:
-    """(h, w, 3) Y'CbCr steps as RGB about grey."""
-    y, cb, cr = np.moveaxis(np.asarray(residual, np.float64), -1, 0) * gain / 255
-    return 0.5 + np.stack([y + 1.402 * cr, y - 0.344136 * cb - 0.714136 * cr, y + 1.772 * cb], -1)
-
-
-def _words(name: str) -> str:
-    fixed = {
-        "cfa_phase": "colour filter phase",
-        "block_phase": "8x8 block phase",
-        "prnu": "PRNU",
-        "lag": "noise lag",
-    }
-    acronyms = {"adc": "ADC", "jpeg": "JPEG", "cfa": "CFA", "lut": "LUT", "color": "colour"}
-    return fixed.get(name) or " ".join(acronyms.get(part, part) for part in str(name).split("_"))
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
-
-
-def _percent(share: Any) -> str:
-    if not _finite(share):
-        return "unknown"
-    percent = 100 * float(share)
-    digits = 1 if 0.05 <= abs(percent) < 0.95 else 0
-    return f"{percent:.{digits}f}{_PER_CENT}".replace("-0" + _PER_CENT, "0" + _PER_CENT)
-
-
-def _range(ci: Sequence[Any]) -> str:
-    return "[" + ",\N{NO-BREAK SPACE}".join(_percent(v).removesuffix(_PER_CENT) for v in ci) + "]"
-
-
-def _number(value: Any) -> str:
-    """Three figures, without an exponent where there is no need of one."""
-    if not _finite(value):
-        return "unknown"
-    value = float(value)
-    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
-
-
-def _value(value: Any) -> str:
-    return ", ".join(map(_value, value)) if isinstance(value, (list, tuple, np.ndarray)) else (
-        _number(value) if _finite(value) else str(value)
-    )  # fmt: skip
-
-
-def _chance(p: Any) -> str:
-    return "unknown" if not _finite(p) else "< 0.001" if p < 0.001 else f"= {p:.2g}"

@@ -11,6 +11,8 @@ from PIL import Image
 
 _W, _H, _LEFT, _RIGHT, _TOP, _BOTTOM = 300, 170, 46, 10, 12, 28
 _MOST_BARS = 16
+_GAINS = (32, 16, 8, 4, 2, 1)
+_WITHIN = 98  # per cent of the differences that a gain must leave between black and white
 
 
 def curve(bins: Sequence[Any], profile: Sequence[float], title: str) -> str:
@@ -78,6 +80,23 @@ def _svg(title: str, inside: str) -> str:
         f'<svg viewBox="0 0 {_W} {_H}" role="img" aria-label="{escape(title)}">'
         f"<title>{escape(title)}</title>{inside}</svg>"
     )
+
+
+def gain_for(residuals: Sequence[Any]) -> int:
+    """How many times larger differences can be shown about grey, the same for all of them: (h, w, 3) Y'CbCr
+    in 8-bit steps each."""
+    high = max((float(np.percentile(np.abs(_rgb(r)), _WITHIN)) for r in residuals), default=0.0)
+    return next((gain for gain in _GAINS if gain * high <= 127.5), 1)
+
+
+def difference_picture(residual: Any, gain: float) -> np.ndarray:
+    """(h, w, 3) Y'CbCr in 8-bit steps as RGB about grey."""
+    return 0.5 + _rgb(residual) * gain / 255
+
+
+def _rgb(residual: Any) -> np.ndarray:
+    y, cb, cr = np.moveaxis(np.nan_to_num(np.asarray(residual, np.float64)), -1, 0)
+    return np.stack([y + 1.402 * cr, y - 0.344136 * cb - 0.714136 * cr, y + 1.772 * cb], -1)
 
 
 def spectrum_picture(spectrum: Any) -> np.ndarray:

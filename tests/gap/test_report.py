@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxisp.cli.diagnose import _print, _warn
 from jaxisp.errors import InputError
-from jaxisp.gap.report import html, sentence, write_report
+from jaxisp.gap import EFFECTS, Diagnosis
+from jaxisp.gap.report import few_pairs, html, sentence, unexplained, write_report
+from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic, statistic_words
+from jaxisp.gap.report_params import MEMBERS, parameters_of
+from jaxisp.gap.report_plots import gain_for
+from jaxisp.gap.statistics import feature_names
+from jaxisp.params import specs
+from jaxisp.pipeline import signature
 
 CAUSE = {
     "effect": "vignetting",
@@ -90,8 +98,22 @@ class Balance(HTMLParser):
         assert self.open.pop() == tag
 
 
+STATISTIC = {
+    "axis": "block_phase",
+    "share": 0.6,
+    "p_value": 0.001,
+    "bins": ["comb Cb0", "logvar columns2", "<b>own</b>", *(f"logvar rows{k}" for k in range(5))],
+    "profile": [-16.5, 4.0, 8.25, *[0.5] * 5],
+    "unit": "what is harmless or chance",
+}
+
+
 def changed(**more):
     return copy.deepcopy(REPORT) | more
+
+
+def shown(report, pictures=PICTURES):
+    return html(report, pictures).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_files(tmp_path):
@@ -122,11 +144,14 @@ def test_numbers_of_numpy_become_json(tmp_path):
 
 def test_what_it_says():
     text = html(REPORT, PICTURES).replace("\N{NO-BREAK SPACE}", " ")
-    assert "The simulator lacks vignetting: it closes 81 % [76, 85] of the gap on held-out pairs." in text
+    first = "The simulator lacks vignetting: it closes 81 % [76, 85] of the gap on held-out pairs."
+    assert f"<h1>{first} 19 % of the gap stays unexplained.</h1>" in text
     assert "from 17.6 to 4.2; the floor is 1." in text
     assert "white balance 94 %" in text and "taken up by the base fit" in text and "62 s" in text
-    assert "19 % of the gap is left, on edge." in text
-    assert text.count("<svg") == 3 and "tail 1 %" in text  # an axis that is not clear is listed, not drawn
+    assert "19 % of the gap is left. It shows by edge." in text
+    assert (
+        text.count("<svg") == 3 and "noise tails 1 %" in text
+    )  # an axis that is not clear is listed, not drawn
 
 
 @pytest.mark.parametrize(
@@ -147,6 +172,98 @@ def test_group_and_next_measurement():
     assert "lacks 2 effects, which close 91 %" in text
     assert "vignetting or colour shading (81 % [76, 85]); PRNU (10 % [6, 13])" in text
     assert "To tell vignetting from colour shading: a flat field." in text
+
+
+def test_what_is_left_is_said_where_it_is_considerable():
+    little = changed(unexplained={"share": 0.1, "axes": [], "description": ""})
+    assert unexplained(little) == "" and sentence(little).endswith("on held-out pairs.")
+    none = changed(verdict="none", causes=[], where=[])  # a share of a gap that is within the floor's range
+    assert unexplained(none) == "" and "of the gap is left" not in shown(none)
+    names = changed(unexplained={"share": 0.64, "axes": ["block_phase", "edge", "lag"], "description": ""})
+    text = shown(names)
+    assert "64 % of the gap is left. It shows by 8x8 block phase, edge and noise correlation." in text
+    assert "block_phase" not in text
+
+
+def test_fewer_than_four_pairs():
+    fewer = ["a", "b"], ["c"]
+    assert few_pairs(changed(pairs=dict(zip(("fit", "held_out"), fewer)))).startswith("only 3 pairs: ")
+    assert few_pairs(changed(pairs={"fit": ["a (1)", "a (2)"], "held_out": ["a (3)", "a (4)"]})) == ""
+    alone = changed(pairs={"fit": ["a (even tiles)"], "held_out": ["a (odd tiles)"]})
+    assert "Only 1 pair: intervals and the choice are not reliable; give at least four." in shown(alone)
+    assert "<dd>1 pair: a (even tiles)</dd>" in shown(alone)
+    enough = changed(pairs={"fit": ["a", "b"], "held_out": ["c", "d"]})
+    assert 'class="warning"' not in shown(enough) and "2 pairs: a, b" in shown(enough)
+
+
+def test_the_command_says_what_is_left_and_warns(tmp_path, capsys):
+    _warn(REPORT)
+    _print(Diagnosis(REPORT, PICTURES), tmp_path / "report.html")
+    out, err = capsys.readouterr()
+    assert out.startswith("verdict: effect; gap 17.6 -> 4.2, floor 1; 19 % of the gap stays unexplained\n")
+    assert err == "jaxisp: only 2 pairs: intervals and the choice are not reliable; give at least four.\n"
+    _warn(changed(pairs={"fit": ["a", "b"], "held_out": ["c", "d"]}))
+    assert capsys.readouterr().err == ""
+
+
+def test_statistics_have_names():
+    known = statistic_words()
+    assert set(feature_names()) <= set(known) and len(set(known.values())) == len(known)
+    assert {name.split()[1] for name in feature_names()} <= set(STATISTICS) == set(PIXELS)
+    assert statistic("intensity", "logvar Cb2") == "Cb noise at luma 60"
+    assert statistic("intensity", "code dark04") == "RAW values in 44 even levels, in the dark"
+    assert statistic("row", "something else") == "something else"
+
+
+def test_statistics_that_differ_most_are_drawn_about_a_middle():
+    text = shown(changed(kind="clean+noisy", where=[STATISTIC]))
+    Balance(text)
+    assert "share of coarse Cb DCT coefficients near 0" in text and "step of luma into column 2 of 8" in text
+    assert "traces of JPEG compression" in text and "2 more within ±0.5" in text
+    assert "comb Cb0" not in text and "harmless or chance" not in text and "<svg" not in text
+    assert "&lt;b&gt;own&lt;/b&gt;" in text
+    bars = re.findall(r"left:([\d.]+)%;width:([\d.]+)%", text.split("<h2>Where")[1].split("<h2>Which")[0])
+    assert bars[:3] == [("0.0", "50.0"), ("50", "25.0"), ("50", "12.12")] and len(bars) == 6
+
+
+def test_the_axes_of_pixels_say_what_they_run_over():
+    text = shown(changed(where=[REPORT["where"][0] | {"channel": "Cb", "unit": "mean, steps"}]))
+    assert "from the middle (0) to the corners (1); up: Cb, mean, steps" in text
+
+
+@pytest.mark.parametrize("effect", [name for name, e in EFFECTS.items() if any(m.index for m in e.moves)])
+def test_members_of_families_have_names(effect):
+    declared = specs(signature(next(EFFECTS[effect].node.stages()).fn).params)
+    for field in {m.field for m in EFFECTS[effect].moves if m.index}:
+        assert len(set(MEMBERS[effect, field])) == np.size(declared[field].default)
+
+
+def test_parameters_are_named_and_none_is_zero():
+    shares = {f"shares[{i}]": v for i, v in enumerate((0.65, 0.0, -0.2, 0.01, 0.3))}
+    line = "shares: Gaussian (1 px) 0.65, median 3x3 -0.2, bilateral (2 px, 0.05 of white) 0.3"
+    assert parameters_of({"effect": "chroma_denoising", "params": shares}) == [line]
+    assert line in shown(changed(causes=[CAUSE | {"effect": "chroma_denoising", "params": shares}]))
+    matrix = {f"matrix[{i}][{j}]": float(i == j) for i in range(3) for j in range(3)} | {"matrix[0][1]": -0.4}
+    assert parameters_of({"effect": "color_matrix", "params": matrix}) == ["matrix: red from green -0.4"]
+    gains = {"gains[0]": 1.12, "gains[2]": 0.9}
+    assert parameters_of({"effect": "white_balance", "params": gains}) == ["gains: red 1.12, blue 0.9"]
+    table = {f"hue[{i}]": 0.1 * i for i in range(10)}
+    assert parameters_of({"effect": "color_lut", "params": table})[0].endswith("202° 0.9 rad; 3 smaller")
+    assert parameters_of(CAUSE) == ["a2 -0.412 EV (coefficient of r**2; negative darkens the corners)"]
+    own = {"effect": "of a user's", "params": {"amounts[1]": 0.5, "form": "round"}}
+    assert parameters_of(own) == ["amounts: [1] 0.5", "form round"]
+
+
+@pytest.mark.parametrize("size, gain", [(0, 32), (3.9, 32), (4.1, 16), (20, 4), (100, 1), (250, 1)])
+def test_differences_fill_the_range_but_do_not_leave_it(size, gain):
+    luma = np.zeros((40, 50, 3))
+    luma[..., 0] = size
+    luma[0, 0, 0] = 255  # a few pixels may
+    assert gain_for([luma, 0 * luma]) == gain
+    text = shown(REPORT, PICTURES | {"residual_before": luma, "residual_after": 0 * luma})
+    assert f"difference before, ×{gain} about grey" in text and f"difference after, ×{gain} about" in text
+    picture = Image.open(io.BytesIO(base64.b64decode(re.findall(r"base64,([^\"]+)", text)[3])))
+    assert picture.getpixel((9, 9))[0] == pytest.approx(min(127.5 + gain * size, 255), abs=0.6)
 
 
 def test_bars_are_to_scale():

@@ -1,0 +1,67 @@
+"""How report.html writes names and numbers."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+_PER_CENT = "\N{NO-BREAK SPACE}%"
+_FIXED = {
+    "cfa_phase": "colour filter phase",
+    "block_phase": "8x8 block phase",
+    "prnu": "PRNU",
+    "lag": "noise correlation",
+    "tail": "noise tails",
+}
+_PARTS = {
+    "adc": "ADC", "cfa": "CFA", "color": "colour", "jpeg": "JPEG", "lut": "LUT", "oetf": "OETF",
+    "srgb": "sRGB",
+}  # fmt: skip
+
+
+def words(name: str) -> str:
+    """An axis, effect or stage as it is called in a sentence."""
+    return _FIXED.get(name) or " ".join(_PARTS.get(part, part) for part in str(name).split("_"))
+
+
+def any_of(names: Sequence[str]) -> str:
+    return " or ".join(map(words, names))
+
+
+def listed(texts: Sequence[str]) -> str:
+    """With commas, and "and" before the last."""
+    return " and ".join(filter(None, (", ".join(texts[:-1]), *texts[-1:])))
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def finite(value: Any) -> bool:
+    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+
+
+def percent(share: Any) -> str:
+    if not finite(share):
+        return "unknown"
+    value = 100 * float(share)
+    digits = 1 if 0.05 <= abs(value) < 0.95 else 0
+    return f"{value:.{digits}f}{_PER_CENT}".replace("-0" + _PER_CENT, "0" + _PER_CENT)
+
+
+def span(ci: Sequence[Any]) -> str:
+    """An interval of shares."""
+    return "[" + ",\N{NO-BREAK SPACE}".join(percent(v).removesuffix(_PER_CENT) for v in ci) + "]"
+
+
+def number(value: Any) -> str:
+    """Three figures, without an exponent where there is no need of one."""
+    if not finite(value):
+        return "unknown"
+    value = float(value)
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def chance(p: Any) -> str:
+    return "unknown" if not finite(p) else "< 0.001" if p < 0.001 else f"= {p:.2g}"
