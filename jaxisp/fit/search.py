@@ -207,6 +207,8 @@ class Search:
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
         for turn in (1, 2):
+            if design.lens and not self._bends(now):
+                design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
             fit = self._fit(design, whole=True, now=state, statistics=weight)
             now = self._run(f"{name} {turn}", fit, _again(now), steps)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
