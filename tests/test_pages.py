@@ -18,6 +18,13 @@ from tests.gap.test_report import PICTURES, REPORT
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 
+CELLS = """[...document.querySelectorAll('td')].map(e => {
+  const words = document.createRange(), box = e.getBoundingClientRect();
+  words.selectNodeContents(e);
+  return {text: e.textContent, right: box.right, inside: e.scrollWidth - e.clientWidth,
+    lines: words.getClientRects().length, wide: !!e.closest('.wide'),
+    label: getComputedStyle(e, '::before').content};
+})"""
 LONG = "a-name-that-somebody-gave-to-a-file-without-any-space-in-it_2019-03-04_final.dng"
 # every text against what is painted behind it, as WCAG 2 counts contrast
 TEXTS = """(() => {
@@ -41,8 +48,7 @@ TEXTS = """(() => {
     const pair = [light(rgba(svg ? style.fill : style.color)), light(behind(e))].sort((a, b) => b - a);
     const box = e.getBoundingClientRect();
     found.push({text: text.slice(0, 40), contrast: (pair[0] + 0.05) / (pair[1] + 0.05),
-      size: svg ? 99 : parseFloat(style.fontSize), left: box.left, right: box.right,
-      scrolls: !!e.closest('.scroll')});
+      size: svg ? 99 : parseFloat(style.fontSize), left: box.left, right: box.right});
   }
   return found;
 })()"""
@@ -77,6 +83,7 @@ def fit(folder):
             Recipe(camera.chain, constants, "fitted"),
             [pair(LONG, notes=("the JPEG was cut at a multiple of 8",)), pair("b")],
             np.geomspace(1, 1e-3, 20),
+            ("first",) * 12 + ("last 1",) * 8,
             12.5,
             failed=[("c.dng", f"/a/long/path/{LONG}: no JPEG of the same name")],
             design="demosaic_malvar, median none, denoising in camera RGB",
@@ -135,7 +142,24 @@ def test_page(browser, page, width, scheme):
     for text in texts:
         assert text["contrast"] >= 4.5, text
         assert text["size"] >= 12, text
-        assert text["scrolls"] or (text["left"] >= 0 and text["right"] <= width), text
+        assert text["left"] >= 0 and text["right"] <= width, text
+
+
+@pytest.mark.parametrize("width", [1280, 700, 400])
+def test_tables_need_no_scrolling_and_break_no_number(browser, tmp_path, width):
+    page = Page("Tables")
+    page.table([f"figure {i} of a pair [dB]" for i in range(9)], [("a", *[f"{i}12.3456" for i in range(8)])])
+    page.table(("name", "figure", "why"), [(LONG.replace("-", "_"), "12.3456", "words " * 40)])
+    page.write(tmp_path / "page.html")
+    browser.open(tmp_path / "page.html", width=width, scheme="light")
+    cells = browser.evaluate(CELLS)
+    assert len(cells) == 12
+    for cell in cells:
+        assert cell["right"] <= width and cell["inside"] <= 1, cell
+        assert cell["lines"] == 1 or "12.3456" not in cell["text"], cell
+        assert ("figure" in cell["label"]) == (width < 760 and "12.3456" in cell["text"] and cell["wide"]), (
+            cell
+        )
 
 
 def test_dark_is_dark(browser, page):

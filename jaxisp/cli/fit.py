@@ -111,3 +111,5 @@ def _print(result: Any, out: str) -> None:
     print(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
     if result.unidentified:
         print(f"not identified by these pairs: {', '.join(result.unidentified)}")
+    if result.at_bound:
+        print(f"at a bound: {', '.join(result.at_bound)}")

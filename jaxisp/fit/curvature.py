@@ -12,6 +12,7 @@ from jaxisp.params import specs
 
 PATCH = 10.0  # px whose residuals are about as good as one independent one
 PRIOR = 4.0  # standard deviation on the real line of what the data do not see
+LEAST = 0.1  # what the error of a number on a linear scale is relative to at least
 KNOWN = 0.025  # relative standard error up to which a parameter counts as identified: 5 % at two of them
 
 
@@ -52,7 +53,7 @@ def standard_errors(fit: Fit, state: State, at: Equations) -> list[Identified]:
             continue
         values = np.ravel(np.asarray(getattr(params[stage], field), np.float64))
         spec = specs(type(params[stage]))[field]
-        largest = max(float(np.abs(values).max()), 0.1)
+        largest = max(float(np.abs(values).max()), LEAST)
         for at_index, value in zip(np.ndindex(shape), values):
             slope = _slope(spec, float(value))
             error = float(spread[index] * slope / (1.0 if spec.scale == "log" else largest))

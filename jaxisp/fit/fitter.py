@@ -217,7 +217,8 @@ def _result(
     return FitResult(
         camera,
         pairs,
-        np.asarray(outcome.losses),
+        np.asarray([value for _, value in outcome.losses]),
+        tuple(name for name, _ in outcome.losses),
         seconds,
         HOW,
         failed,

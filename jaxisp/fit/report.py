@@ -1,31 +1,46 @@
 """Show a fit: figures, pictures before and after, and what is left."""
 
+from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from jaxisp.fit.curvature import KNOWN, LEAST, Identified
 from jaxisp.fit.model import SET_FROM_FILE
 from jaxisp.fit.noise import KINDS
 from jaxisp.fit.result import FitResult
+from jaxisp.fit.search import GAIN
 from jaxisp.io.files import output_folder
-from jaxisp.params import specs
+from jaxisp.params import Spec, specs
 from jaxisp.report import Page
+
+_UNKNOWN, _BOUND = " (not identified)", " (at a bound)"
 
 
 def write_report(result: FitResult, folder: str | Path) -> Path:
     """Write `report.html` into the folder; return its path."""
-    page = Page(
-        "A camera fitted to its own pictures", f"{len(result.pairs)} pairs in {result.seconds:.0f} s."
-    )
+    lead = f"{len(result.pairs)} pairs in {result.seconds:.0f} s. {doubts(result)}"
+    page = Page("A camera fitted to its own pictures", lead.strip())
     add_fit(page, result)
     path = output_folder(folder) / "report.html"
     page.write(path)
     return path
+
+
+def doubts(result: FitResult) -> str:
+    """The parameters that are not to be believed, in a sentence; empty where there are none."""
+    kinds = {"not identified by these pairs": _unidentified(result), "at a bound": result.at_bound}
+    said = [f"{what}: {', '.join(names)}" for what, names in kinds.items() if names]
+    return f"Not to be believed: {'; '.join(said)}." if said else ""
 
 
 def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
@@ -38,21 +53,14 @@ def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
         page.heading("What to know about pairs", "")
         page.table(("pair", "what"), said)
     _add_noise(page, result)
-    page.heading(
-        "What was chosen", f"{result.design}. Objective of each choice after a step; lower is better."
-    )
-    page.table(("choice", "objective"), [(text, f"{value:.5f}") for text, value in result.tried])
-    page.heading(
-        "The camera that was found",
-        "Parameters with their bounds; a value at a bound is marked. The error is the relative standard "
-        "error from the curvature at the solution, the largest of a vector's; above 2.5 % a parameter is "
-        "not identified by these pairs.",
-    )
-    page.table(("stage", "parameter", "value", "bounds", "unit", "error"), parameter_rows(result))
-    if result.lens_px:
-        rows = [(name, f"{value:+.2f}") for name, value in result.lens_px.items()]
-        page.table(("displacement in the corner, of red and blue against green", "px"), rows)
-    page.figures([("objective by step; each phase has its own scale", _loss_figure(result.losses))])
+    _add_choices(page, result)
+    _add_camera(page, result)
+    if parts := phases(result):  # none where a fit went on after its last step
+        caption = (
+            "objective by step, a panel a phase, each with its own scale; the first phases fit the picture, "
+            "the last the noise too; the choices between them are in the table above"
+        )
+        page.figures([(caption, _loss_figure(parts))])
 
 
 def _add_pairs(page: Page, result: FitResult, most: int) -> None:
@@ -90,12 +98,12 @@ def _add_pairs(page: Page, result: FitResult, most: int) -> None:
 def _add_noise(page: Page, result: FitResult) -> None:
     page.heading(
         "Noise and edges",
-        "In flat held-out regions: standard deviation and lag-1 autocorrelation of the noise, of the render "
-        "and of the camera's picture, by intensity. Below, the detail at strong edges, render over picture.",
+        "In flat held-out regions: standard deviation [1/255] and lag-1 autocorrelation of the noise, of the "
+        "render and of the camera's picture, by intensity (white is 1). Below, the detail at strong edges, "
+        "render over picture.",
     )
-    page.table(
-        ("pair", "plane", "level", "std [1/255]", "their std", "lag 1", "their lag 1"), _noise_rows(result)
-    )
+    head = ("pair", "plane", "intensity", "std, render", "std, picture", "lag 1, render", "lag 1, picture")
+    page.table(head, _noise_rows(result))
     page.table(
         ("pair", "detail at edges", "held out with whole-pixel shift [dB]"),
         [
@@ -120,32 +128,172 @@ def _noise_rows(result: FitResult) -> list[tuple[str, ...]]:
     ]
 
 
+def _add_choices(page: Page, result: FitResult) -> None:
+    best: dict[str, float] = {}
+    for text, value in result.tried:
+        best[text] = min(value, best.get(text, np.inf))
+    starts = {text: value for text, value in best.items() if text.startswith("start ")}
+    designs = {text: value for text, value in best.items() if text not in starts}
+    common = in_common(list(designs))
+    shared = f"All choices: {', '.join(common)}. " if common else ""
+    last = "" if result.design in designs else f"In the end: {result.design}."  # without an idle lens, say
+    page.heading(
+        "What was chosen",
+        f"{shared}The objective after a step with each, the best where one was tried again; lower is "
+        f"better, and only what is {100 * (1 - GAIN):.1f} % lower replaces the choice before it. {last}"
+        if designs
+        else f"{result.design}.",
+    )
+    if starts:
+        chosen = min(starts, key=lambda text: starts[text])
+        page.table(("start", "objective where it ended"), _choices(starts, chosen))
+    if designs:
+        own = {without(text, common): value for text, value in designs.items()}
+        page.table(("choice", "objective"), _choices(own, without(result.design, common)))
+
+
+def _choices(values: dict[str, float], chosen: str) -> list[tuple[str, str]]:
+    return [
+        (text + (" (chosen)" if text == chosen else ""), f"{value:.5f}") for text, value in values.items()
+    ]
+
+
+def in_common(designs: Sequence[str]) -> list[str]:
+    """The phrases that all designs share."""
+    first, *others = [design.split(", ") for design in designs] or [[]]
+    return [phrase for phrase in first if all(phrase in other for other in others)]
+
+
+def without(design: str, common: Sequence[str]) -> str:
+    """What a design says beside some phrases."""
+    return ", ".join(p for p in design.split(", ") if p not in common) or "nothing else"
+
+
+def _add_camera(page: Page, result: FitResult) -> None:
+    page.heading(
+        "The camera that was found",
+        "What these pairs do not identify, and what ended at a bound, is marked. "
+        "The standard error, from the curvature at the solution, is told as a share of the number beside it: "
+        "the value itself where the parameter varies on a log scale, else the largest entry of the "
+        f"parameter, but {LEAST:g} at least, so that a value near zero has one too. Of a vector it is the "
+        f"worst entry's. Above {100 * KNOWN:.1f} % an entry is not identified. The exposure holds the scale "
+        "of the colour matrix.",
+    )
+    page.table(("parameter", "value", "standard error", "bounds"), parameter_rows(result))
+    if result.lens_px:
+        rows = [(name, f"{value:+.2f}") for name, value in result.lens_px.items()]
+        page.table(("displacement in the corner, of red and blue against green", "px"), rows)
+
+
 def parameter_rows(result: FitResult) -> list[tuple[str, ...]]:
-    """(stage, parameter, value, bounds, unit, error) of everything in the fitted camera."""
-    errors: dict[str, float] = {}
-    for known in result.identified:
-        name = known.name.partition("[")[0]
-        errors[name] = max(errors.get(name, 0.0), known.error)
+    """(stage.parameter, value, standard error, bounds with their unit) of everything in the fitted camera."""
+    found = _by_parameter(result)
     rows: list[tuple[str, ...]] = []
-    for name, values in result.camera.prior.items():
-        if name in SET_FROM_FILE:
-            rows.append((name, "", "set from the file", "", "", ""))
+    for stage, values in result.camera.prior.items():
+        if stage in SET_FROM_FILE:
+            rows.append((stage, "set from the file", "", ""))
             continue
         for field, spec in specs(type(values)).items():
-            value = np.asarray(getattr(values, field))
-            low, high = spec.bounds
-            path = f"{name}.{field}"
-            shown = np.array2string(value, precision=3, suppress_small=True)
-            shown += " (at a bound)" if path in result.at_bound else ""
-            error = f"{100 * errors[path]:.1f} %" if path in errors else "not fitted"
-            rows.append((name, field, shown, f"{low:g} to {high:g}", spec.unit, error))
+            path, value = f"{stage}.{field}", np.asarray(getattr(values, field), np.float64)
+            shown, error = _shown(value, spec, found.get(path, []))
+            if path not in found:
+                error = "each image's own" if _differs(result, stage, field) else "not fitted"
+            shown += _BOUND if path in result.at_bound else ""
+            rows.append((path, shown, error, _bounds(spec)))
     return rows
 
 
-def _loss_figure(losses: np.ndarray) -> Figure:
-    figure, axes = plt.subplots(figsize=(6, 2.6))
-    axes.semilogy(losses, color="#3b6ea5", linewidth=1.2)
-    axes.set(xlabel="step", ylabel="objective")
-    axes.spines[["top", "right"]].set_visible(False)
+def _bounds(spec: Spec) -> str:
+    low, high = spec.bounds
+    return f"{low:g} to {high:g}" + ("" if spec.unit == "1" else f" {spec.unit}")
+
+
+def _by_parameter(result: FitResult) -> dict[str, list[Identified]]:
+    """By stage.field: its entries, in order."""
+    found: dict[str, list[Identified]] = {}
+    for entry in result.identified:
+        found.setdefault(entry.name.partition("[")[0], []).append(entry)
+    return found
+
+
+def _unidentified(result: FitResult) -> list[str]:
+    """Names of what is not identified: of a whole parameter where all its entries are not."""
+    names = []
+    for path, entries in _by_parameter(result).items():
+        unknown = [entry.name for entry in entries if not entry.known]
+        names += [path] if len(unknown) == len(entries) else unknown
+    return names
+
+
+def _differs(result: FitResult, stage: str, field: str) -> bool:
+    """Whether the images have the parameter of their own."""
+    own = [values[stage][field] for values in result.per_image.values() if stage in values]
+    return any(value != own[0] for value in own)
+
+
+def _shown(value: np.ndarray, spec: Spec, entries: Sequence[Identified]) -> tuple[str, str]:
+    """The value with its entries marked, and the largest error and what it is relative to."""
+    flat = np.ravel(value)
+    if not entries:
+        return _nested(np.reshape([_number(v, 0) for v in flat], value.shape).tolist()), ""
+    least = max(float(np.abs(flat).max()), LEAST)
+    whole = [float(abs(v)) if spec.scale == "log" else least for v in flat]
+    one_by_one = any(entry.known for entry in entries)
+    texts = [
+        _number(v, e.error * w) + (_UNKNOWN if one_by_one and not e.known else "")
+        for v, e, w in zip(flat, entries, whole)
+    ]
+    shown = _nested(np.reshape(texts, value.shape).tolist()) + ("" if one_by_one else _UNKNOWN)
+    worst = max(range(len(flat)), key=lambda i: entries[i].error)
+    return shown, f"{_percent(entries[worst].error)} of {_number(whole[worst], 0)}"
+
+
+def _number(value: float, error: float) -> str:
+    """Four digits, and more where the standard error is beyond them."""
+    digits = 4
+    if value and error:
+        digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 1
+    return f"{value + 0.0:.{min(max(digits, 4), 7)}g}"  # adding 0 takes the sign off -0
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share >= 1e-3 else f"{100 * share:.1g} %"
+
+
+def _nested(texts: Any) -> str:
+    return texts if isinstance(texts, str) else f"[{', '.join(map(_nested, texts))}]"
+
+
+def phases(result: FitResult) -> list[tuple[str, int, np.ndarray]]:
+    """The phases of several steps: name, first step (from 1) and the objective after each step.
+
+    Choices take one step each, and stand in a table.
+    """
+    steps = enumerate(zip(result.phases, result.losses), 1)
+    parts = [(name, list(group)) for name, group in groupby(steps, key=lambda step: step[1][0])]
+    return [
+        (name, part[0][0], np.array([value for _, (_, value) in part]))
+        for name, part in parts
+        if len(part) > 1
+    ]
+
+
+def _loss_figure(parts: Sequence[tuple[str, int, np.ndarray]]) -> Figure:
+    rows = -(-len(parts) // 2)
+    figure, grid = plt.subplots(rows, 2, figsize=(5, 1.8 * rows), squeeze=False, layout="constrained")
+    for axes, (name, first, values) in zip(grid.flat, parts):
+        _draw_phase(axes, first, values)
+        axes.set_title(name, fontsize=9)
+    for axes in grid.flat[len(parts) :]:
+        axes.remove()
     plt.close(figure)
     return figure
+
+
+def _draw_phase(axes: Axes, first: int, values: np.ndarray) -> None:
+    steps = np.arange(first, first + len(values))
+    axes.plot(steps, values, "o-", color="#3b6ea5", linewidth=1.2, markersize=3)
+    axes.set_yscale("log" if values.max() > 4 * values.min() else "linear")
+    axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axes.set(xlabel="step", ylabel="objective")
+    axes.spines[["top", "right"]].set_visible(False)

@@ -61,6 +61,7 @@ class FitResult:
     Args:
         camera: mosaic to encoded sRGB.
         losses: objective at each Gauss-Newton step; each phase has its own scale.
+        phases: the name of the phase that each of these steps is of.
         design: the discrete choices in words, and what each one tried gave.
         identified: each fitted number with its relative standard error.
         at_bound: names of the parameters that ended at a bound.
@@ -73,6 +74,7 @@ class FitResult:
     camera: Recipe
     pairs: list[PairResult]
     losses: np.ndarray
+    phases: tuple[str, ...]
     seconds: float
     how: str = HOW
     failed: list[tuple[str, str]] = dataclasses.field(default_factory=list)

@@ -95,7 +95,7 @@ class Outcome:
     fit: Fit
     state: State
     start: Params
-    losses: list[float]
+    losses: list[tuple[str, float]]
     tried: list[tuple[str, float]]
 
 
@@ -120,7 +120,7 @@ class Search:
     ):
         self.shots, self.options, self.journal, self.tick = tuple(shots), options, journal, tick
         self.mesh = mesh
-        self.losses: list[float] = []
+        self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
         self.stated = all(shot.jpeg is not None for shot in self.shots)
@@ -266,7 +266,7 @@ class Search:
             return saved
 
         def after(now: State) -> None:
-            self.losses.append(now.objective)
+            self.losses.append((name, now.objective))
             self._done += 1
             self.journal.put(name, now, finished=False)
             self.tick(min(self._done, self._total - 1), self._total, f"{name} {now.objective:.4f}")

@@ -55,7 +55,7 @@ class Page:
 def _uri(picture: Any, magnify: int) -> str:
     buffer = io.BytesIO()
     if hasattr(picture, "savefig"):
-        picture.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+        picture.savefig(buffer, format="png", dpi=160, bbox_inches="tight")
     else:
         levels = np.round(255 * np.clip(np.asarray(picture, np.float64), 0, 1)).astype(np.uint8)
         levels = levels.repeat(magnify, axis=0).repeat(magnify, axis=1)

@@ -246,4 +246,4 @@ def test_the_report_is_one_file_without_requests(result, tmp_path):
     assert 'src="data:image/png;base64,' in text and "http" not in text.replace("http-equiv", "")
     assert f"{result.pairs[0].held_out_psnr:.2f}" in text
     rows = parameter_rows(result)
-    assert any(stage == "bilateral" for stage, *_ in rows)
+    assert any(name == "bilateral.luma_sigma_space" for name, *_ in rows)
