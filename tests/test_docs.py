@@ -5,6 +5,7 @@ import functools
 import importlib
 import inspect
 import itertools
+import json
 import re
 import subprocess
 import sys
@@ -144,3 +145,13 @@ def test_notebooks_are_pages(site):
         title = re.search(r"^# # (.+)$", source.read_text(), re.MULTILINE)[1]
         page = site / "tutorials" / (source.stem.replace("_", "-") + ".html")
         assert f"<h1>{title}<" in page.read_text()
+
+
+def test_the_readmes_figures_are_those_measured():
+    text = (ROOT / "README.md").read_text()
+    found = json.loads((ROOT / "docs/results/real-data.json").read_text())
+    assert " and ".join(f"{raw['psnr_levels_matched']:.1f}" for raw in found["develop"]) + " dB" in text
+    (pair,) = found["fit"]["pairs"]
+    quality = f"{pair['held_out_psnr']:.1f} dB, SSIM {pair['held_out_ssim']:.3f}"
+    assert f"{quality}, in {found['fit']['seconds']:.0f} s" in text
+    assert f"{found['degrade']['seconds']:.0f} s, compilation" in text

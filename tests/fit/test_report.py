@@ -1,6 +1,5 @@
 """The report of a fit: what it marks, tells apart and draws, of results made by hand."""
 
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
