@@ -77,10 +77,21 @@ def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) ->
     Args:
         winner: the best of the trials.
         trials: of one step.
-        apart: shares that differ by more are told apart, unless the winner's own interval says otherwise.
+        apart: shares that differ by more are told apart, unless the winner's own interval says otherwise, or
+            the two are known to be easily taken for one another: what they leave is not theirs alone, and
+            grows with the gap.
     """
-    margin = max(min(0.2 * winner.closed, apart), 0.5 * (winner.high - winner.low))
-    return [t.effect for t in trials if t.effect != winner.effect and t.closed > winner.closed - margin]
+    wide, interval = 0.2 * winner.closed, 0.5 * (winner.high - winner.low)
+
+    def near(other: Trial) -> bool:
+        margin = wide if _alike(winner.effect, other.effect) else min(wide, apart)
+        return other.effect != winner.effect and other.closed > winner.closed - max(margin, interval)
+
+    return [t.effect for t in trials if near(t)]
+
+
+def _alike(one: str, other: str) -> bool:
+    return other in EFFECTS[one].alternatives or one in EFFECTS[other].alternatives
 
 
 Tick = Callable[[int, int, str], Any]
