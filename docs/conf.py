@@ -13,7 +13,7 @@ project_copyright = author
 release = version = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generated"]
-exclude_patterns = ["_build", "**/_*"]
+exclude_patterns = ["_build", "_static", "**/_*"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
@@ -27,4 +27,5 @@ napoleon_custom_sections = [("Gradient", "notes_style"), ("Source", "notes_style
 html_theme = "furo"
 html_title = f"jaxisp {release}"
 html_show_sphinx = False
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["code.css"]
