@@ -75,9 +75,7 @@ def degrade_shards(
     out, outcome, clock = Path(out), Outcome(), time.perf_counter()
     numbers = list(range(shards) if only is None else only)
     with locked(out, shared=True):
-        with locked(
-            out, name=".plan.lock", wait=True
-        ):  # of two that start at once the second sees the first's
+        with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
             _write_plan(work, out, shards)
         total = sum(len(_range(work, s, shards)) for s in numbers)
         for shard in numbers:
