@@ -13,13 +13,15 @@ from experiments.withheld import effects
 from experiments.withheld.bodies import BODIES, Noise
 from experiments.withheld.camera import KINDS, Shot, before_body, develop, expose
 from experiments.withheld.demosaic import DEMOSAICKERS, demosaic, mosaicked
+from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
-from experiments.withheld.study import cases, kept, true_closure
+from experiments.withheld.study import cases, examine, kept, true_closure
 from experiments.withheld.tables import markdown, wilson
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
 ALLOWED = {"numpy", "scipy", "cv2", "PIL", "skimage"}
+MORE = {"study": {"jaxisp"}, "libraw": {"rawpy", "tifffile"}}
 
 
 def imported(path: Path) -> set[str]:
@@ -39,7 +41,7 @@ def imported(path: Path) -> set[str]:
 @pytest.mark.parametrize("path", sorted(PACKAGE.glob("*.py")), ids=lambda p: p.stem)
 def test_imports_nothing_of_the_package(path: Path) -> None:
     extra = imported(path) - set(sys.stdlib_module_names) - ALLOWED
-    assert extra == ({"jaxisp"} if path.stem == "study" else set())
+    assert extra == MORE.get(path.stem, set())
     assert "importlib" not in imported(path)
     assert path.stem == "scenes" or "skimage" not in imported(path)
 
@@ -137,6 +139,30 @@ def test_write_is_repeatable_and_as_the_contract_says(tmp_path: Path) -> None:
         write(tmp_path / "d", "alder", {"hot_pixels": 1}, "raw+jpeg", chosen)
 
 
+@pytest.mark.parametrize("body", sorted(BODIES))
+def test_libraw_develops_what_a_body_took(body: str) -> None:
+    raw, own = shoot(body, "raw+jpeg", {}, picture(96))
+    plain, linear = (
+        developed(raw, body, SWITCHES[name].settings).astype(float) for name in ("plain", "linear")
+    )
+    assert plain.shape == own.shape and 1 < np.abs(plain - linear).mean() < 20
+    assert all(np.corrcoef(plain[..., c].ravel(), own[..., c].ravel())[0, 1] > 0.85 for c in range(3))
+    red, blue = plain[10:14, 12:20].mean((0, 1)), plain[32:34, 8:16].mean((0, 1))
+    assert red[0] > 150 > 100 > red[1:].max() and blue[2] > 150 > 100 > blue[:2].max()
+
+
+def test_deleting_hides_the_true_effect_alone() -> None:
+    tried = []
+    case = next(cases(KINDS[0], "deleted", ["alder"], [3]))
+
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        tried.append((len(list(folder.iterdir())), exclude))
+        return report("unknown")
+
+    found = examine(case, diagnosis, size=64, count=2)
+    assert tried == [(5, [case.effects[0][0]])] and found["verdict"] == "unknown"
+
+
 def test_scene_sets_are_disjoint() -> None:
     names = [set(scenes(name, 64)) for name in SETS]
     assert all(len(found) == 8 for found in names)
@@ -174,5 +200,13 @@ def test_tables_count_what_was_said() -> None:
     assert "| its group first | 100% " in text
     assert "| **all** | 50% " in text
     assert true_closure(right, clear | {"gap": {"before": 1.5, "floor": 1.0}}) == 0.75
+    deleted = [record(n, report("effect", "sharpening"), "deleted") for n in ("optical_blur", "prnu")]
+    deleted += [record("vignetting", report("unknown"), "deleted")]
+    switched = [record(n, report("none"), "libraw") for n in ("plain", "vng", "medians")]
+    text = markdown([*deleted, *switched])
+    for said in ("unknown", "another of its group", "a stranger"):
+        assert f"| {said} | 33% " in text
+    assert "| vng | demosaicking or (none) | (none) 1 | 100% " in text
+    assert "| medians | chroma_denoising | (none) 1 | 0% " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3

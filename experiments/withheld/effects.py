@@ -24,6 +24,17 @@ SEALED = tuple(sorted(VOCABULARY)[1::2])
 # What a fitted baseline takes up itself, so that "absorbed" or "none" is right as well as the name.
 ABSORBABLE = ("color_matrix", "noise_level", "saturation", "tone_curve", "white_balance")
 
+# What leaves nearly the same traces: where the true effect is not tried, another of its group may stand in.
+GROUPS = (
+    {"chroma_denoising", "chroma_subsampling", "jpeg_quantization"},
+    {"luma_denoising", "motion_blur", "optical_blur", "resampling", "sharpening"},
+    {"black_level_offset", "tone_curve", "veiling_glare"},
+    {"color_shading", "vignetting"},
+    {"color_lut", "color_matrix", "saturation", "white_balance"},
+    {"heavy_tailed_noise", "hot_pixels"},
+    {"local_tone_mapping", "sharpening"},
+)
+
 PAIRS = (
     ("chroma_denoising", "vignetting"),
     ("color_lut", "sharpening"),

@@ -15,7 +15,8 @@ from typing import Any
 
 from scipy.stats import norm
 
-from .effects import ABSORBABLE
+from .effects import ABSORBABLE, GROUPS
+from .libraw import SWITCHES
 
 Record = dict[str, Any]
 
@@ -216,12 +217,54 @@ def pairs_section(records: list[Record]) -> str:
     )
 
 
+def deleted_section(records: list[Record]) -> str:
+    """What is said where the true effect is not among those tried."""
+
+    def stood_in(record: Record) -> bool:
+        name, first = truth(record)[0], (named(record) or [""])[0]
+        return any({name, first} <= group for group in GROUPS)
+
+    rates: dict[str, Callable[[Record], bool]] = {
+        "unknown": lambda r: r["verdict"] == "unknown",
+        "another of its group": stood_in,
+        "none": lambda r: not named(r) and r["verdict"] != "unknown",
+        "a stranger": lambda r: bool(named(r)) and not stood_in(r),
+    }
+    seen = [r for r in records if plain_to_see(r)]
+    rows = [[name, share(records, hit), share(seen, hit)] for name, hit in rates.items()]
+    head = ["said", "all strengths", "gap at least twice the floor"]
+    return "\n".join([table(head, rows), confusion(records)])
+
+
+def libraw_section(records: list[Record]) -> str:
+    """LibRaw's switches: what was named, and whether that is right."""
+
+    def right(record: Record) -> bool:
+        return (record["causes"] or [""])[0] in SWITCHES[truth(record)[0]].right
+
+    rows = []
+    for name, switch in SWITCHES.items():
+        mine = [r for r in records if truth(r)[0] == name]
+        said = Counter((r["causes"] or [f"({r['verdict']})"])[0] for r in mine)
+        told = ", ".join(f"{n} {c}" for n, c in said.most_common())
+        rows.append(
+            [name, " or ".join(effect or "(none)" for effect in switch.right), told, share(mine, right)]
+        )
+    wrong = [[r["case"], ", ".join(r["causes"]) or r["verdict"], gap_of(r)] for r in records if not right(r)]
+    return "\n".join([
+        table(["switch", "right would be", "named first, times", "right"], rows),
+        table(["not right", "said", "gap (floor)"], wrong),
+    ])  # fmt: skip
+
+
 SECTIONS = {
     "develop": ("Effects to develop on", effects_section),
     "sealed": ("Sealed effects", effects_section),
     "nulls": ("Nothing missing", nulls_section),
     "outside": ("Effects outside the vocabulary", outside_section),
     "pairs": ("Two effects at once", pairs_section),
+    "deleted": ("The true effect left out", deleted_section),
+    "libraw": ("LibRaw as the camera", libraw_section),
 }
 
 

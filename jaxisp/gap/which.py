@@ -78,13 +78,14 @@ def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) ->
         winner: the best of the trials.
         trials: of one step.
         apart: shares that differ by more are told apart, unless the winner's own interval says otherwise, or
-            the two are known to be easily taken for one another: what they leave is not theirs alone, and
-            grows with the gap.
+            the two are known to be easily taken for one another and neither leaves twice what the other does:
+            what they leave then is not theirs alone, and grows with the gap.
     """
     wide, interval = 0.2 * winner.closed, 0.5 * (winner.high - winner.low)
 
     def near(other: Trial) -> bool:
-        margin = wide if _alike(winner.effect, other.effect) else min(wide, apart)
+        alike = _alike(winner.effect, other.effect) and other.after < 2 * winner.after
+        margin = wide if alike else min(wide, apart)
         return other.effect != winner.effect and other.closed > winner.closed - max(margin, interval)
 
     return [t.effect for t in trials if near(t)]

@@ -28,6 +28,11 @@ def test_what_is_easily_taken_for_it_is_named_with_it_up_to_a_fifth(apart):
     assert lookalikes(winner, [winner, trial("chroma_subsampling", 0.7, 0, 1)], apart) == []
 
 
+def test_what_leaves_twice_as_much_is_told_apart():
+    winner, other = trial("prnu", 0.985, 0.98, 0.99), trial("column_noise", 0.8, 0.79, 0.81)
+    assert lookalikes(winner, [winner, other], 0.02) == []
+
+
 def test_a_wide_interval_tells_nothing_apart():
     winner = trial("vignetting", 0.9, 0.2, 1.6)
     assert lookalikes(winner, [winner, trial("prnu", 0.3, 0, 1)], 0.02) == ["prnu"]
