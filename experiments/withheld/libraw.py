@@ -6,7 +6,6 @@ and it may have LibRaw's demosaicker.
 
 import tempfile
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,6 +22,7 @@ from .scenes import scenes as scene_set
 _SRGB_TO_XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
+_PATIENCE = 60.0  # seconds for a picture that takes a fraction of one
 _DEMOSAICKER = rawpy.DemosaicAlgorithm
 
 
@@ -74,9 +74,10 @@ def write(
 
 
 def _in_a_child(raw: np.ndarray, body: Body, settings: Mapping[str, Any]) -> np.ndarray:
-    """LibRaw may crash where it denoises (rawpy 0.28 does), which ends the child alone."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as child:
-        return child.submit(developed, raw, body.name, dict(settings)).result()
+    """LibRaw may crash or hang where it denoises (rawpy 0.28 does): then this raises TimeoutError."""
+    with get_context("spawn").Pool(1) as child:
+        pixels: np.ndarray = child.apply_async(developed, (raw, body.name, dict(settings))).get(_PATIENCE)
+        return pixels
 
 
 def developed(raw: np.ndarray, body: str, settings: Mapping[str, Any]) -> np.ndarray:
