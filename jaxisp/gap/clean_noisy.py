@@ -202,8 +202,9 @@ class StatisticsProblem:
 
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         for i in set(which) - set(self.columns):
-            moved, step = self.model.probe(self.z, i, (steps or {}).get(i))
-            change = self.simulated(moved) - self._simulated
+            behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
+            before = self._simulated if (behind == self.z).all() else self.simulated(behind)
+            change = self.simulated(ahead) - before
             self.columns[i] = self._mean(self._scale * self._counted * change) / step
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -38,6 +38,8 @@ class Move:
         off: its value where the effect is absent; the probe starts there.
         grid: changes that are tried one by one, where the picture does not follow the parameter smoothly.
         fine: how closely it is searched for at last; 0: to a quarter of the grid's spacing.
+        both_sides: it is probed to both: interpolation smooths either way, which one side alone would take
+            for a part of it.
     """
 
     field: str
@@ -48,6 +50,7 @@ class Move:
     off: float = 0.0
     grid: tuple[float, ...] = ()
     fine: float = 0.0
+    both_sides: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,8 @@ _add(
 )  # fmt: skip
 _add(
     "lateral_chromatic_aberration", stage("lateral_chromatic_aberration"), "scene",
-    [Move("red_scale", 0.002, -0.01, 0.01, off=1), Move("blue_scale", 0.002, -0.01, 0.01, off=1)],
+    [Move("red_scale", 0.002, -0.01, 0.01, off=1, both_sides=True),
+     Move("blue_scale", 0.002, -0.01, 0.01, off=1, both_sides=True)],
     "radius channel edge", "demosaicking geometric_distortion",
 )  # fmt: skip
 _add(
@@ -153,7 +157,7 @@ _add(
 )  # fmt: skip
 _add(
     "geometric_distortion", stage("geometric_distortion"), "scene",
-    [Move("k1", 0.004, -0.1, 0.1)],
+    [Move("k1", 0.004, -0.1, 0.1, both_sides=True)],
     "radius edge", "lateral_chromatic_aberration",
 )  # fmt: skip
 _add(

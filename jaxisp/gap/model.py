@@ -115,14 +115,19 @@ class Model:
             return c.move.off
         return float(np.asarray(getattr(self.shared[c.node], c.move.field))[c.move.index])
 
-    def probe(self, z: np.ndarray, i: int, step: float | None = None) -> tuple[np.ndarray, float]:
-        """The point with coordinate i moved by its probe, to the side that its range allows, and the step."""
-        low, high = self.ranges
+    def probe(
+        self, z: np.ndarray, i: int, step: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Two points that differ in coordinate i, and by how much: z and one moved by its probe, to the side
+        that its range allows, or one to either side where the move asks for both."""
+        (low, high), at = self.ranges[:, i], z[i]
         if step is None:
-            step = self.steps[i] if low[i] <= z[i] + self.steps[i] <= high[i] else -self.steps[i]
-        moved = z.copy()
-        moved[i] += step
-        return moved, float(step)
+            step = self.steps[i] if low <= at + self.steps[i] <= high else -self.steps[i]
+        ahead, behind = z.copy(), z.copy()
+        ahead[i] = at + step
+        if self.coordinates[i].move.both_sides:
+            behind[i] = np.clip(at - step, low, high)
+        return behind, ahead, float(ahead[i] - behind[i])
 
     def render(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, H, W, 3) encoded, clipped to [0, 1], of all pairs."""

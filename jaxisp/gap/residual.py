@@ -163,8 +163,9 @@ class Problem:
             steps: how far some are moved, where it is not the usual probe.
         """
         for i in set(which) - set(self.columns):
-            moved, step = self.model.probe(self.z, i, (steps or {}).get(i))
-            self.columns[i] = (self.picture(moved) - self.current) * (self.weight / np.float32(step))
+            behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
+            before = self.current if (behind == self.z).all() else self.picture(behind)
+            self.columns[i] = (self.picture(ahead) - before) * (self.weight / np.float32(step))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""

@@ -11,6 +11,8 @@ from jaxisp.gap import EFFECTS, Effect, Move, register_effect
 from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
 from jaxisp.gap.model import build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
+from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.solve import fit
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance
 from tests.conftest import smooth_image
@@ -100,3 +102,19 @@ def test_noise_effects_repeat_for_a_key():
     image = jnp.full((16, 16), 0.5)
     one, two = (run(chain, chain.init(), image, jax.random.key(k)) for k in (0, 1))
     np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
+def test_a_warp_is_found_to_either_side(model, name, sign):
+    """Interpolation smooths both ways, which a probe to one side would take for a part of the warp."""
+    first, light = model.indices([name])[0], jnp.concatenate([mosaics()] * 2, 1)
+    z = np.zeros(len(model.coordinates))
+    z[first] = 0.7 * sign * model.steps[first]
+    names, mask = ("a", "b"), np.ones(light.shape, bool)
+    problem = Problem(model, Pairs(names, light, model.render(z, light), mask))
+    problem.compute([first])
+    gram, slope = problem.normal([first])
+    assert slope.sum() / gram.sum() == pytest.approx(z[first], rel=0.3)
+    fit(problem, [first], [0, 1], steps=4)
+    assert problem.z[first] == pytest.approx(z[first], rel=0.05)
