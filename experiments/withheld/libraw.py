@@ -34,6 +34,12 @@ class Switch:
     right: tuple[str, ...] = ("",)
 
 
+_PLAIN: dict[str, Any] = {
+    "use_camera_wb": True,
+    "no_auto_bright": True,
+    "adjust_maximum_thr": 0.0,  # else white is what the brightest pixel has, picture by picture
+    "output_color": rawpy.ColorSpace.sRGB,
+}
 SWITCHES = {
     "plain": Switch(),
     "linear": Switch({"demosaic_algorithm": _DEMOSAICKER.LINEAR}, ("demosaicking", "")),
@@ -85,10 +91,7 @@ def developed(raw: np.ndarray, body: str, settings: Mapping[str, Any]) -> np.nda
     with tempfile.NamedTemporaryFile(suffix=".dng") as file:
         _save_dng(file.name, raw, BODIES[body])
         with rawpy.imread(file.name) as opened:
-            return opened.postprocess(
-                **{"use_camera_wb": True, "no_auto_bright": True, "output_color": rawpy.ColorSpace.sRGB}
-                | dict(settings)
-            )
+            return opened.postprocess(**_PLAIN | dict(settings))
 
 
 def _save_dng(path: str, raw: np.ndarray, body: Body) -> None:
