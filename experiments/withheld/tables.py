@@ -30,6 +30,9 @@ One results file for all:
 ```sh
 study="python -m experiments.withheld.study --out results.json"
 $study --kind raw+jpeg --split nulls --skip 47 --limit 100
+$study --kind raw+jpeg --split sealed --strengths 3 5
+$study --kind raw+jpeg --split outside --bodies birch --strengths 4
+$study --kind raw+jpeg --split libraw --bodies alder
 $study --kind clean+noisy --split nulls --skip 24 --limit 48 --size 128 --count 6
 $study --kind clean+noisy --split sealed --bodies birch --strengths 3 5 --size 128 --count 6
 python -m experiments.withheld.tables results.json -o docs/results/withheld.md
