@@ -115,9 +115,7 @@ class Model:
             return c.move.off
         return float(np.asarray(getattr(self.shared[c.node], c.move.field))[c.move.index])
 
-    def probe(
-        self, z: np.ndarray, i: int, step: float | None = None
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    def probe(self, z: np.ndarray, i: int, step: float | None = None) -> tuple[np.ndarray, np.ndarray, float]:
         """Two points that differ in coordinate i, and by how much: z and one moved by its probe, to the side
         that its range allows, or one to either side where the move asks for both."""
         (low, high), at = self.ranges[:, i], z[i]
