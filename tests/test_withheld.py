@@ -206,10 +206,12 @@ def test_tables_count_what_was_said() -> None:
     deleted = [record(n, report("effect", "sharpening"), "deleted") for n in ("optical_blur", "prnu")]
     deleted += [record("vignetting", report("unknown"), "deleted")]
     switched = [record(n, report("none"), "libraw") for n in ("plain", "vng", "medians")]
+    switched += [record("ppg", report("unknown"), "libraw")]
     text = markdown([*deleted, *switched])
     for said in ("unknown", "another of its group", "a stranger"):
         assert f"| {said} | 33% " in text
-    assert "| vng | demosaicking or (none) | (none) 1 | 100% " in text
+    assert "| vng | demosaicking or none | (none) 1 | 100% " in text
+    assert "| ppg | demosaicking or none | (unknown) 1 | 0% " in text
     assert "| medians | chroma_denoising | (none) 1 | 0% " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3

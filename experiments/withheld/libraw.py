@@ -28,10 +28,10 @@ _DEMOSAICKER = rawpy.DemosaicAlgorithm
 
 @dataclass(frozen=True)
 class Switch:
-    """Arguments of `postprocess`, and which first causes are right; "" is none."""
+    """Arguments of `postprocess`, and which first causes are right, or "none"."""
 
     settings: dict[str, Any] = field(default_factory=dict)
-    right: tuple[str, ...] = ("",)
+    right: tuple[str, ...] = ("none",)
 
 
 _PLAIN: dict[str, Any] = {
@@ -42,10 +42,10 @@ _PLAIN: dict[str, Any] = {
 }
 SWITCHES = {
     "plain": Switch(),
-    "linear": Switch({"demosaic_algorithm": _DEMOSAICKER.LINEAR}, ("demosaicking", "")),
-    "vng": Switch({"demosaic_algorithm": _DEMOSAICKER.VNG}, ("demosaicking", "")),
-    "ppg": Switch({"demosaic_algorithm": _DEMOSAICKER.PPG}, ("demosaicking", "")),
-    "dcb": Switch({"demosaic_algorithm": _DEMOSAICKER.DCB}, ("demosaicking", "")),
+    "linear": Switch({"demosaic_algorithm": _DEMOSAICKER.LINEAR}, ("demosaicking", "none")),
+    "vng": Switch({"demosaic_algorithm": _DEMOSAICKER.VNG}, ("demosaicking", "none")),
+    "ppg": Switch({"demosaic_algorithm": _DEMOSAICKER.PPG}, ("demosaicking", "none")),
+    "dcb": Switch({"demosaic_algorithm": _DEMOSAICKER.DCB}, ("demosaicking", "none")),
     "medians": Switch({"median_filter_passes": 3}, ("chroma_denoising",)),
     "fbdd": Switch(
         {"fbdd_noise_reduction": rawpy.FBDDNoiseReductionMode.Full}, ("chroma_denoising", "luma_denoising")

@@ -243,16 +243,15 @@ def libraw_section(records: list[Record]) -> str:
     """LibRaw's switches: what was named, and whether that is right."""
 
     def right(record: Record) -> bool:
-        return (record["causes"] or [""])[0] in SWITCHES[truth(record)[0]].right
+        first = record["causes"][0] if record["causes"] else record["verdict"]
+        return first in SWITCHES[truth(record)[0]].right
 
     rows = []
     for name, switch in SWITCHES.items():
         mine = [r for r in records if truth(r)[0] == name]
         said = Counter((r["causes"] or [f"({r['verdict']})"])[0] for r in mine)
         told = ", ".join(f"{n} {c}" for n, c in said.most_common())
-        rows.append(
-            [name, " or ".join(effect or "(none)" for effect in switch.right), told, share(mine, right)]
-        )
+        rows.append([name, " or ".join(switch.right), told, share(mine, right)])
     wrong = [[r["case"], ", ".join(r["causes"]) or r["verdict"], gap_of(r)] for r in records if not right(r)]
     return "\n".join([
         table(["switch", "right would be", "named first, times", "right"], rows),
