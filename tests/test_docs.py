@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 
 import jaxisp
+from experiments.withheld.effects import ABSORBABLE
+from experiments.withheld.tables import first_right, plain_to_see, truth
 from jaxisp.gap import EFFECTS
 from jaxisp.recipes import RECIPES
 from jaxisp.stages import STAGES
@@ -155,3 +157,15 @@ def test_the_readmes_figures_are_those_measured():
     quality = f"{pair['held_out_psnr']:.1f} dB, SSIM {pair['held_out_ssim']:.3f}"
     assert f"{quality}, in {found['fit']['seconds']:.0f} s" in text
     assert f"{found['degrade']['seconds']:.0f} s, compilation" in text
+
+
+@pytest.mark.parametrize(
+    ("kind", "where"), [("raw+jpeg", "RAW+JPEG pairs"), ("clean+noisy", "clean+noisy pairs")]
+)
+def test_the_share_of_withheld_effects_is_that_measured(kind, where):
+    cases = json.loads((ROOT / "docs/results/withheld.json").read_text())["cases"].values()
+    sealed = [r for r in cases if r["split"] == "sealed" and r["kind"] == kind and "failed" not in r]
+    sure = [r for r in sealed if truth(r)[0] not in ABSORBABLE and plain_to_see(r)]
+    share = sum(map(first_right, sure)) / len(sure)
+    told = f"{100 * share:.0f} % (are named first )?in {re.escape(where)}"
+    assert re.search(told, (ROOT / "README.md").read_text())
