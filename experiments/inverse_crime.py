@@ -9,7 +9,6 @@ run that was broken off goes on.
 """
 
 import argparse
-import io
 import json
 import tempfile
 import zlib
@@ -17,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from experiments.withheld.bodies import BODIES
+from experiments.withheld.camera import compressed
+from experiments.withheld.effects import ABSORBABLE
 from experiments.withheld.shoot import write
 from experiments.withheld.study import kept
 from experiments.withheld.tables import wilson
@@ -36,7 +36,7 @@ ELSEWHERE = {
     "film_grain": "random: no point of the model",
     "jpeg_quantization": "stated by the file",
 }
-TAKEN_UP = ("black_level_offset", "color_matrix", "saturation", "tone_curve", "white_balance")
+TAKEN_UP = (*ABSORBABLE, "black_level_offset")
 
 
 def base_before(folder: Path) -> Problem:
@@ -53,6 +53,7 @@ def direction(problem: Problem, name: str) -> np.ndarray:
     drawn = np.random.default_rng(zlib.crc32(name.encode())).standard_normal(len(own))
     low, high = problem.model.ranges[:, own]
     steps = problem.model.steps[own]
+    # shares and amounts may go a little below none, which is not what they are for
     one_sided = (low >= -0.2) & (steps > 0)
     towards = np.zeros(len(problem.model.coordinates))
     towards[own] = steps * np.where(one_sided | (high <= 0), np.abs(drawn), drawn)
@@ -86,11 +87,8 @@ def examine(problem: Problem, base: Path, name: str) -> dict[str, Any]:
         (folder / "dataset.toml").write_bytes((base / "dataset.toml").read_bytes())
         for pair, picture in zip(problem.pairs.names, problem.rendered(z)):
             (folder / f"{pair}.raw.npy").write_bytes((base / f"{pair}.raw.npy").read_bytes())
-            file = io.BytesIO()
-            Image.fromarray(np.rint(255 * picture).astype(np.uint8)).save(
-                file, "JPEG", quality=body.quality, subsampling=0
-            )
-            (folder / f"{pair}.jpg").write_bytes(file.getvalue())
+            pixels = np.rint(255 * picture).astype(np.uint8)
+            (folder / f"{pair}.jpg").write_bytes(compressed(pixels, body.quality, "4:4:4"))
         return {"effect": name, "rms": round(change, 2)} | kept(diagnose(folder).report)
 
 

@@ -16,8 +16,9 @@ import rawpy
 import tifffile
 
 from .bodies import BODIES, Body
-from .camera import PAIRED, Shot, before_body, compressed, expose
+from .camera import Shot, before_body, compressed, expose
 from .scenes import scenes as scene_set
+from .shoot import description
 
 _SRGB_TO_XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
@@ -73,10 +74,7 @@ def write(
         np.save(folder / f"{scene}.raw.npy", raw)
         pixels = _in_a_child(raw, chosen, SWITCHES[name].settings)
         (folder / f"{scene}.jpg").write_bytes(compressed(pixels, chosen.quality, "4:4:4"))
-    (folder / "dataset.toml").write_text(
-        f'camera = "{body}"\niso = 100\n\n[raw]\ncfa = "{chosen.cfa}"\nblack = {chosen.black:.1f}\n'
-        f"white = {chosen.white:.1f}\nwhite_balanced = false\n"
-    )
+    (folder / "dataset.toml").write_text(description(chosen, kind))
 
 
 def _in_a_child(raw: np.ndarray, body: Body, settings: Mapping[str, Any]) -> np.ndarray:
@@ -117,6 +115,3 @@ def _save_dng(path: str, raw: np.ndarray, body: Body) -> None:
 
 def _fractions(values: np.ndarray) -> tuple[int, ...]:
     return tuple(int(n) for v in np.ravel(values) for n in (round(1e6 * v), 10**6))
-
-
-__all__ = ["PAIRED", "SWITCHES", "developed", "write"]

@@ -49,7 +49,7 @@ def write(
             stem = name if frames == 1 else f"{name}.f{frame:02d}"
             shot = Shot(BODIES[body], kind, active, name, seed, frame)
             _save(folder, stem, seen, shot, lossless=without_header(effects))
-    (folder / "dataset.toml").write_text(_description(BODIES[body], kind))
+    (folder / "dataset.toml").write_text(description(BODIES[body], kind))
     return list(pictures)
 
 
@@ -82,7 +82,8 @@ def _save_png(path: Path, pixels: np.ndarray) -> None:
     path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))[1].tobytes())
 
 
-def _description(body: Body, kind: str) -> str:
+def description(body: Body, kind: str) -> str:
+    """dataset.toml of what a body took."""
     lines = [f'camera = "{body.name}"', f"iso = {100 if kind == PAIRED else 1600}"]
     if kind == DISTRIBUTIONS:
         return "\n".join([*lines, 'clean_encoding = "srgb"', ""])

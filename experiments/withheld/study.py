@@ -134,7 +134,7 @@ def run(todo: Sequence[Case], diagnose: Diagnose, out: Path, jobs: int, options:
     for record in _examined(left, diagnose, jobs, options):
         done[record["case"]] = record
         for other in done.values():
-            if other["split"] not in ("nulls", "libraw"):
+            if other["split"] not in _WITHOUT_TRUTH:
                 other["true_closure"] = true_closure(other, done.get(_plain(other).name))
         partial = out.with_suffix(".partial")
         partial.write_text(json.dumps({"schema": 1, "cases": done}, indent=1))

@@ -78,7 +78,7 @@ def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) ->
         winner: the best of the trials.
         trials: of one step.
         apart: shares that differ by more are told apart, unless the winner's own interval says otherwise, or
-            the two are known to be easily taken for one another and neither leaves twice what the other does:
+            the two are known to be easily taken for one another and the other leaves less than twice as much:
             what they leave then is not theirs alone, and grows with the gap.
     """
     wide, interval = 0.2 * winner.closed, 0.5 * (winner.high - winner.low)
