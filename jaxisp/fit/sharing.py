@@ -21,6 +21,8 @@ FIXED_NAMES = (
     "denoise_encoding",
     "denoise_decoding",
     "unsharp_mask.threshold",
+    "chroma_subsampling.sampled",
+    "chroma_subsampling.repeated",
 )
 """What stays where it starts unless it is asked for."""
 

@@ -214,12 +214,15 @@ def _raw_case(loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence
         model = prepare.camera_model(camera, loaded, effects)
         absorbed, choices = {}, []
     references: dict[int, float] = {}
+    seen: tuple[str, ...] = ()
     if loaded[0].jpeg is not None and "double_compression" in model.effects:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])
         model = prepare.with_earlier_grid(model, place)
         if place == (0, 0):  # the file's own grid
             indices = model.indices(["double_compression"])
             references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
+        else:
+            seen = ("double_compression",)
     problem = Problem(model, pairs, choices)
     problem.weigh(problem.robust_weights())
     problem.references = references
@@ -231,7 +234,7 @@ def _raw_case(loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence
     stored = floor_difference(problem, [p.jpeg for p in loaded])
     floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
     grain = None if "film_grain" in exclude else stored
-    return Case(RAW_JPEG, problem, split, floors, absorbed, offered, grain, given)
+    return Case(RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen)
 
 
 def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:

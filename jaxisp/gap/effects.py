@@ -40,6 +40,9 @@ class Move:
         fine: how closely it is searched for at last; 0: to a quarter of the grid's spacing.
         both_sides: it is probed to both: interpolation smooths either way, which one side alone would take
             for a part of it.
+        far: changes from which a fit may start as well, one move after the other; the probe is one of them
+            where that lowers the error. Where edges have moved by more than their width, a small probe sees
+            nothing of a warp.
     """
 
     field: str
@@ -51,6 +54,7 @@ class Move:
     grid: tuple[float, ...] = ()
     fine: float = 0.0
     both_sides: bool = False
+    far: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -140,9 +144,9 @@ _add(
     "radius channel", "vignetting white_balance",
 )  # fmt: skip
 _add(
-    "lateral_chromatic_aberration", stage("lateral_chromatic_aberration"), "scene",
-    [Move("red_scale", 0.002, -0.01, 0.01, off=1, both_sides=True),
-     Move("blue_scale", 0.002, -0.01, 0.01, off=1, both_sides=True)],
+    "lateral_chromatic_aberration", stage("lateral_chromatic_aberration", most=0.03), "scene",
+    [Move(f"{color}_scale", 0.002, -0.03, 0.03, off=1, both_sides=True, far=(-0.02, -0.008, 0.008, 0.02))
+     for color in ("red", "blue")],
     "radius channel edge", "demosaicking geometric_distortion",
 )  # fmt: skip
 _add(
@@ -157,7 +161,7 @@ _add(
 )  # fmt: skip
 _add(
     "geometric_distortion", stage("geometric_distortion"), "scene",
-    [Move("k1", 0.004, -0.1, 0.1, both_sides=True)],
+    [Move("k1", 0.004, -0.1, 0.1, both_sides=True, far=(-0.055, -0.02, 0.02, 0.055))],
     "radius edge", "lateral_chromatic_aberration",
 )  # fmt: skip
 _add(
@@ -247,7 +251,7 @@ _add(
 )  # fmt: skip
 _add(
     "chroma_subsampling", stage("chroma_subsampling"), "output",
-    [Move("horizontal", 1.0, 0, 1), Move("vertical", 1.0, 0, 1)],
+    [Move(share, 1.0, 0, 1, far=(1.0,)) for share in ("horizontal", "vertical", "sampled", "repeated")],
     "channel frequency edge", "chroma_denoising jpeg_quantization",
 )  # fmt: skip
 _add(

@@ -78,6 +78,7 @@ class Case:
         stored: what the file does to the pictures, where grain is to be told from it.
         given: what the base is, where it was given; None where a plain one was fitted.
         open_nodes: what of a given base was fitted beside its coordinates.
+        seen: effects that the files themselves show, whatever else explains the gap.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
     """
 
@@ -90,6 +91,7 @@ class Case:
     stored: np.ndarray | None = None
     given: str | None = None
     open_nodes: tuple[str, ...] = ()
+    seen: tuple[str, ...] = ()
     reference: np.ndarray | None = None
 
 

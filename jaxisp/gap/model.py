@@ -117,13 +117,14 @@ class Model:
 
     def probe(self, z: np.ndarray, i: int, step: float | None = None) -> tuple[np.ndarray, np.ndarray, float]:
         """Two points that differ in coordinate i, and by how much: z and one moved by its probe, to the side
-        that its range allows, or one to either side where the move asks for both."""
+        that its range allows, or one to either side where the move asks for both and no step is given."""
         (low, high), at = self.ranges[:, i], z[i]
+        both = step is None and self.coordinates[i].move.both_sides
         if step is None:
             step = self.steps[i] if low <= at + self.steps[i] <= high else -self.steps[i]
         ahead, behind = z.copy(), z.copy()
         ahead[i] = at + step
-        if self.coordinates[i].move.both_sides:
+        if both:
             behind[i] = np.clip(at - step, low, high)
         return behind, ahead, float(ahead[i] - behind[i])
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.effects import Effect, Move
 from jaxisp.gap.model import Coordinate, Model, build, plain_freedom
@@ -20,6 +21,7 @@ from jaxisp.stages.jpeg import JpegTables
 _TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
 """What a phone's colour matrix has beside the identity; its rows keep white."""
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
+_SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
 _SETTLED = 0.01
 _ALIKE = 3.0
 """By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
@@ -152,15 +154,34 @@ def fit_mean(
             break
     fit(problem, problem.model.base_indices, fit_on, steps=2)
     fitted = problem.model.moved(problem.z).shared
-    if cfa is None:
-        camera = _with_pattern(camera, fitted, pairs, fit_on)
-    camera = _with_demosaicking(camera, fitted, pairs, fit_on)
-    choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
-    camera = _refined(_nearest(choices, fitted, pairs, fit_on), fitted, pairs, fit_on)
+    camera = _structured(camera, fitted, pairs, fit_on, cfa is None)
     problem = Problem(camera.mean_model(fitted), pairs)
     problem.weigh(problem.robust_weights())
     fit(problem, problem.model.base_indices, fit_on, steps=4)
     return camera, problem
+
+
+def _structured(
+    camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
+) -> Camera:
+    """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft as
+    it takes: blur that the base lacks hides what they do at edges, and the softest would stand in for it.
+    """
+    found = []
+    for sigma in _SOFTNESS:
+        soft = _softened(pairs, sigma)
+        own = _with_pattern(camera, params, soft, fit_on) if any_pattern else camera
+        own = _with_demosaicking(own, params, soft, fit_on)
+        found.append((_error(own, params, soft, fit_on), sigma, own))
+    _, sigma, camera = min(found, key=lambda f: f[:2])
+    soft = _softened(pairs, sigma)
+    choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
+    return _refined(_nearest(choices, params, soft, fit_on), params, soft, fit_on)
+
+
+def _softened(pairs: Pairs, sigma: float) -> Pairs:
+    light = gaussian_filter(np.asarray(pairs.light), (0, sigma, sigma, 0))
+    return dataclasses.replace(pairs, light=jnp.asarray(light, jnp.float32))
 
 
 def _refined(camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int]) -> Camera:

@@ -9,9 +9,10 @@ import numpy as np
 
 from jaxisp.gap import prepare
 from jaxisp.gap.clean_noisy import StatisticsProblem
+from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import CLEAN_NOISY, Effect
 from jaxisp.gap.measured import Case, Split
-from jaxisp.gap.model import Choice
+from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_base import Camera, fit_mean
 from jaxisp.gap.noisy_camera import check_camera, of_camera
 from jaxisp.gap.noisy_codes import Codes, codes
@@ -102,7 +103,7 @@ def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
 def _plain(
     camera: Camera, mean: Problem, split: Split, effects: Sequence[Effect], seed: int, tick: Tick
 ) -> Case:
-    model = camera.whole_model(mean.model.moved(mean.z), effects)
+    model, shown = _placed(camera.whole_model(mean.model.moved(mean.z), effects), mean.pairs)
     seen = _codes(model.shared, camera, mean.pairs)
     choices = [  # the demosaicker nearest to the pictures may imitate an effect
         Choice({"demosaicking": Demosaicking(shares=shares)}, {})
@@ -114,7 +115,8 @@ def _plain(
     tick(0, 3, "fitting the noise")
     fit_noise(problem, split.fit, rebased)
     offered = [e.name for e in effects if e.name not in _ABSORBED]
-    return Case(CLEAN_NOISY, problem, split, problem.floors, dict.fromkeys(_ABSORBED, 0.0), offered)
+    taken = dict.fromkeys(_ABSORBED, 0.0)
+    return Case(CLEAN_NOISY, problem, split, problem.floors, taken, offered, seen=shown)
 
 
 def _given(
@@ -127,6 +129,7 @@ def _given(
     tick: Tick,
 ) -> Case:
     model, offered, absorbed = given.whole_model(effects)
+    model, shown = _placed(model, pairs)
     problem = StatisticsProblem(model, pairs, given.noise_free(pairs.light), split, seen, seed=seed)
     tick(0, 3, "fitting what the simulator leaves open")
     fit_open(problem, given.open, split.fit)
@@ -134,7 +137,17 @@ def _given(
     fit_noise(problem, split.fit, given.rebased)
     taken = dict.fromkeys(absorbed, 0.0)
     about, names = given.about, tuple(sorted(given.fitted))
-    return Case(CLEAN_NOISY, problem, split, problem.floors, taken, offered, None, about, names)
+    floors = problem.floors
+    return Case(CLEAN_NOISY, problem, split, floors, taken, offered, None, about, names, seen=shown)
+
+
+def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
+    """The model whose earlier compression, if it is tried, is where the noisy pictures show one, and whether
+    they do: its name then."""
+    if "double_compression" not in model.effects:
+        return model, ()
+    place = earlier_grid(to_steps(pairs.pictures)[..., 0])
+    return prepare.with_earlier_grid(model, place), ("double_compression",) if place != (0, 0) else ()
 
 
 def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:

@@ -92,6 +92,10 @@ def _fit_with(
 ) -> None:
     """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
     gridded = [i for i in own if part.model.coordinates[i].move.grid]
+    afar = _from_afar(part, own, seen)
+    if (afar != part.z).any():
+        part.move_to(afar)
+        part.compute([i for i in moving if i not in gridded])
     columns = part.columns
     for i in gridded:
         part.move_to(part.placed(part.z, i, part.z[i] + lowest(part, i, seen)))
@@ -111,6 +115,26 @@ def _fit_with(
             part.move_to(_finely(part, i, seen))
             part.columns = dict(columns)
             fit(part, smooth, seen, steps=2, fresh=fresh)
+
+
+def _from_afar(part: Measured, own: Sequence[int], seen: Sequence[int]) -> np.ndarray:
+    """The point itself, or one that an effect far from its small probe starts from, where that is better."""
+    z = part.z
+    for i in own:
+        points = [z, *(part.placed(z, i, z[i] + v) for v in part.model.coordinates[i].move.far)]
+        z = min(points, key=lambda p: part.errors(p)[list(seen)].mean()) if len(points) > 1 else z
+    return z
+
+
+def distant(problem: Measured, names: Sequence[str]) -> dict[int, float]:
+    """By coordinate of these effects the change out of `Move.far` that lowers the error most, if one does."""
+    at_rest, found = problem.errors(problem.z).mean(), {}
+    for i in problem.model.indices(names):
+        tried = problem.model.coordinates[i].move.far
+        errors = [problem.errors(problem.placed(problem.z, i, problem.z[i] + v)).mean() for v in tried]
+        if errors and min(errors) < at_rest:
+            found[i] = tried[int(np.argmin(errors))]
+    return found
 
 
 def searched(problem: Measured, names: Sequence[str]) -> list[int]:

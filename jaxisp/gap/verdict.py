@@ -21,6 +21,10 @@ statistics by what is harmless, in pixels by a share of the gap only."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
 
+ACCOUNTED = 0.5
+"""What all causes together must close where more is left than where nothing is missing: something else makes
+most of such a gap, and what closes the smaller part may be but its likeness."""
+
 
 class Gap(NamedTuple):
     """On the held-out pairs, at the base."""
@@ -61,13 +65,19 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
     apart = APART[kind] * gap.floor / scale
     causes, trials, promises = search(
-        problem, case.offered, case.split, scale, least, most, tick, enough, apart
+        problem, case.offered, case.split, scale, least, most, tick, enough, apart, case.seen
     )
     if case.stored is not None:
         grain = grain_trial(problem, case.stored, case.split, scale, least)
-        causes, trials = with_grain(causes, grain), trials | {"film_grain": grain}
+        causes, trials = with_grain(causes, grain, gap.floor), trials | {"film_grain": grain}
         promises["film_grain"] = grain.before - grain.after
-    if not could:
+    if not could or not accounted(causes, gap, NULL_EXCESS[kind]):
         causes, problem.model = [], model
         problem.move_to(start)
     return Found(causes, trials, promises)
+
+
+def accounted(causes: list[Any], gap: Gap, excess: float) -> bool:
+    """Whether the causes close enough, or leave a gap that is within `excess` of the floor."""
+    left = causes[-1][0].after if causes else gap.before
+    return left < gap.floor * (1 + excess) or gap.before - left >= ACCOUNTED * gap.scale

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
-from jaxisp.gap.refit import Trial, lowest, refit, searched, switched_on
+from jaxisp.gap.refit import Trial, distant, lowest, refit, searched, switched_on
 from jaxisp.gap.solve import solve
 
 LEADING = 0.25
@@ -25,7 +25,7 @@ def screen(problem: Measured, names: Sequence[str], split: Split) -> dict[str, f
     """
     base = problem.model.base_indices + switched_on(problem)
     steps = {i: lowest(problem, i, range(len(problem.errors(problem.z)))) for i in searched(problem, names)}
-    problem.compute([*base, *problem.model.indices(names)], steps)
+    problem.compute([*base, *problem.model.indices(names)], steps | distant(problem, names))
     halves = [(split.fit, split.held_out), (split.held_out, split.fit)]
     gram, slope = problem.normal(sorted(problem.columns))
     order = {i: k for k, i in enumerate(sorted(problem.columns))}
@@ -57,11 +57,19 @@ def _anyway(problem: Measured, name: str) -> float:
     return float((problem.errors(problem.z) - problem.errors(z)).mean()) if (z != problem.z).any() else 0.0
 
 
-def best(trials: Sequence[Trial]) -> Trial | None:
-    """The accepted trial that closes most; one that another can imitate in full is preferred to it."""
+def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
+    """The accepted trial that closes most; one that another can imitate in full is preferred to it.
+
+    Args:
+        trials: of one step.
+        seen: effects that the files themselves show: what others close may be theirs, they come first.
+    """
     accepted = sorted((t for t in trials if t.accepted), key=lambda t: -t.closed)
     if not accepted:
         return None
+    shown = [t for t in accepted if t.effect in seen]
+    if shown:
+        return shown[0]
     first = accepted[0]
     for other in accepted[1:]:
         imitated = other.effect in EFFECTS[first.effect].contains and other.closed > 0.93 * first.closed
@@ -108,12 +116,14 @@ def search(
     tick: Tick,
     enough: float = -np.inf,
     apart: float = np.inf,
+    seen: Sequence[str] = (),
 ) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
     """Forward steps: the best effect is added and fitted, and all others are tried again.
 
     Args:
         enough: the share of the gap that no other effect is looked for to close.
         apart: of `lookalikes`.
+        seen: effects that the files themselves show; they are refitted whatever they promise.
 
     Returns:
         the accepted trials with their look-alikes, in order, at most so many; the trials of the first step;
@@ -128,13 +138,14 @@ def search(
         promises = screen(problem, left, split)
         ranked = sorted(left, key=lambda name: -promises[name])
         tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * scale] or ranked[:1]
+        tried += [n for n in left if n in seen and n not in tried]
         trials = []
         for name in tried:
             tick(step, most, f"refitting {name}")
             trials.append(refit(problem, name, split, scale, least))
         if step == 0:
             first_trials, first_promises = {t.effect: t for t in trials}, promises
-        winner = best(trials)
+        winner = best(trials, seen)
         if winner is None or (not causes and winner.closed < LEADING):
             break
         causes.append((winner, lookalikes(winner, trials, apart)))

@@ -77,6 +77,8 @@ class ChromaSubsampling:
 
     horizontal: Leaf = param(1.0, (0.0, 1.0), "share", doc="0 is full resolution, 1 halves the columns")
     vertical: Leaf = param(1.0, (0.0, 1.0), "share", doc="0 is full resolution, 1 halves the rows")
+    sampled: Leaf = param(0.0, (0.0, 1.0), "share", doc="0 stores averages of two, 1 the first of two")
+    repeated: Leaf = param(0.0, (0.0, 1.0), "share", doc="0 restores by interpolation, 1 by repetition")
 
 
 @register
@@ -84,7 +86,8 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     """Halve the resolution of chroma and restore the size: averages of two, back by linear interpolation.
 
     `C' = C + share (U(D(C)) - C)`, columns first and then rows; D averages pairs from the left and from
-    the top, U weighs 3/4 and 1/4. 1 and 1 is 4:2:0, 1 and 0 is 4:2:2.
+    the top, U weighs 3/4 and 1/4. 1 and 1 is 4:2:0, 1 and 0 is 4:2:2. Plain code takes the first of each
+    pair for D, and repeats it for U: `sampled` and `repeated` mix that in.
 
     Args:
         params: the shares.
@@ -98,17 +101,20 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     Source: ITU-T T.81 (1992); libjpeg's h2v1 and h2v2 filters.
     """
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
-    cb, cr = (_halved(_halved(c, params.horizontal).T, params.vertical).T for c in chroma)
+    forms = params.sampled, params.repeated
+    cb, cr = (_halved(_halved(c, params.horizontal, *forms).T, params.vertical, *forms).T for c in chroma)
     return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), -1)
 
 
-def _halved(plane: jax.Array, share: jax.Array) -> jax.Array:
+def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: jax.Array) -> jax.Array:
     """Along the columns."""
     width = plane.shape[1]
     even = jnp.pad(plane, ((0, 0), (0, width % 2)), mode="edge")
-    small = 0.5 * (even[:, ::2] + even[:, 1::2])
+    first, second = even[:, ::2], even[:, 1::2]
+    small = first + 0.5 * (1 - sampled) * (second - first)
     wide = jnp.pad(small, ((0, 0), (1, 1)), mode="edge")
-    left, right = (0.75 * small + 0.25 * wide[:, s : s + small.shape[1]] for s in (0, 2))
+    far = 0.25 * (1 - repeated)
+    left, right = (small + far * (wide[:, s : s + small.shape[1]] - small) for s in (0, 2))
     restored = jnp.stack([left, right], -1).reshape(even.shape)[:, :width]
     return plane + share * (restored - plane)
 

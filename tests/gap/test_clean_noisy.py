@@ -13,10 +13,10 @@ from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
-from jaxisp.gap.noisy_base import Camera, noise_freedom, primaries
-from jaxisp.gap.noisy_pairs import framed, laid_under, split_of
+from jaxisp.gap.noisy_base import Camera, fit_mean, noise_freedom, primaries
+from jaxisp.gap.noisy_pairs import clean_pairs, framed, laid_under, split_of
 from jaxisp.gap.prepare import candidates
-from jaxisp.io.datasets import Loaded
+from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
 from tests.conftest import smooth_image
 
@@ -118,3 +118,11 @@ def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
     moved = np.roll(picture, (2, -3), (0, 1))
     laid = laid_under(scene[1:-1, 1:-1], moved)
     np.testing.assert_array_equal(laid[8:-8, 8:-8], np.roll(scene[1:-1, 1:-1], (2, -3), (0, 1))[8:-8, 8:-8])
+
+
+def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
+    """Blur hides what tells them; an even softer demosaicker would stand in for it."""
+    write(tmp_path, "birch", {"optical_blur": 4}, "clean+noisy", size=SIZE, count=COUNT)
+    pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
+    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)

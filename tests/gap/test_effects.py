@@ -9,10 +9,13 @@ import pytest
 
 from jaxisp.gap import EFFECTS, Effect, Move, register_effect
 from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.measured import Split
 from jaxisp.gap.model import build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
+from jaxisp.gap.refit import refit
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.solve import fit
+from jaxisp.gap.which import screen
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance
 from tests.conftest import smooth_image
@@ -67,6 +70,10 @@ def test_nothing_is_changed_while_all_are_off(model):
     np.testing.assert_array_equal(model.render(np.zeros(len(model.coordinates)), light), plain)
 
 
+_WAYS = {"resampling": ("shares",), "chroma_subsampling": ("sampled", "repeated")}
+"""Of what another move does."""
+
+
 def test_every_move_shows(model):
     light = mosaics()
     before = model.render(np.zeros(len(model.coordinates)), light)
@@ -75,8 +82,8 @@ def test_every_move_shows(model):
             continue  # the base's own algorithm
         z = np.zeros(len(model.coordinates))
         start = before
-        if (coordinate.node, coordinate.move.field) == ("resampling", "shares"):  # ways of what is resized
-            z[model.indices(["resampling"])[0]] = 0.5
+        if coordinate.move.field in _WAYS.get(coordinate.node, ()):
+            z[model.indices([coordinate.node])[0]] = 0.5
             start = model.render(z, light)
         z[i] = step
         assert np.abs(model.render(z, light) - start).max() > 1e-4, coordinate
@@ -118,3 +125,24 @@ def test_a_warp_is_found_to_either_side(model, name, sign):
     assert slope.sum() / gram.sum() == pytest.approx(z[first], rel=0.3)
     fit(problem, [first], [0, 1], steps=4)
     assert problem.z[first] == pytest.approx(z[first], rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
+def test_a_warp_of_several_pixels_is_found(name):
+    """No small probe sees it: edges have moved by more than their width."""
+    chain, params = plain_camera("GRBG")
+    gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((4, 3), 1.1, np.float32))}
+    effects = [e for e in candidates(RAW_JPEG) if e.name in (name, "sharpening")]
+    model = build(chain, params, gains, plain_freedom(), effects)
+    rng = np.random.default_rng(3)
+    light = jnp.asarray((rng.random((4, 96, 96)) < 0.02) * 0.8 + 0.1, jnp.float32)  # sparse points
+    first, z = model.indices([name])[0], np.zeros(len(model.coordinates))
+    z[first] = -0.9 * model.ranges[1, first]
+    pictures = model.render(z, light)
+    problem = Problem(model, Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool)))
+    split = Split((0, 2), (1, 3))
+    promised = screen(problem, [name, "sharpening"], split)
+    assert promised[name] > promised["sharpening"]
+    gap = float(problem.errors(problem.z).mean())
+    found = refit(problem, name, split, gap, 0.0)
+    assert found.z[first] == pytest.approx(z[first], rel=0.05) and found.closed > 0.9

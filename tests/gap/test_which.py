@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import lookalikes
+from jaxisp.gap.which import best, lookalikes
 
 
 def trial(effect, closed, low, high):
@@ -36,3 +36,10 @@ def test_what_leaves_twice_as_much_is_told_apart():
 def test_a_wide_interval_tells_nothing_apart():
     winner = trial("vignetting", 0.9, 0.2, 1.6)
     assert lookalikes(winner, [winner, trial("prnu", 0.3, 0, 1)], 0.02) == ["prnu"]
+
+
+def test_what_the_files_show_comes_first_where_it_is_accepted():
+    near, shown = trial("motion_blur", 0.7, 0.6, 0.8), trial("double_compression", 0.5, 0.4, 0.6)
+    assert best([near, shown]) is near
+    assert best([near, shown], ["double_compression"]) is shown
+    assert best([near, trial("double_compression", 0.05, 0.0, 0.1)], ["double_compression"]) is near

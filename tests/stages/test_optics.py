@@ -120,13 +120,15 @@ def test_veiling_glare_keeps_the_mean_and_lifts_blacks():
 
 
 @pytest.mark.parametrize("shifts", [displacement._MOST_SHIFTS, -1])
-@pytest.mark.parametrize(("red", "blue"), [(0.99, 1.01), (1.0037, 0.9942)])
-def test_lateral_chromatic_aberration(red, blue, shifts, monkeypatch, x64):
+@pytest.mark.parametrize(
+    ("red", "blue", "most"), [(0.99, 1.01, 0.01), (1.004, 0.994, 0.01), (1.03, 0.97, 0.03)]
+)
+def test_lateral_chromatic_aberration(red, blue, most, shifts, monkeypatch, x64):
     """Both forms, shifted views and gathers, on an image large enough to move by more than a pixel."""
     monkeypatch.setattr(displacement, "_MOST_SHIFTS", shifts)
     image = picture(dtype=float, shape=(53, 260))
     params = optics.LateralChromaticAberration(red_scale=red, blue_scale=blue)
-    out = jax.jit(optics.lateral_chromatic_aberration)(params, image)
+    out = jax.jit(optics.lateral_chromatic_aberration, static_argnames="most")(params, image, most=most)
     y, x = np.mgrid[:53, :260].astype(float)
     for channel, scale in ((0, red), (2, blue)):
         places = [26 + (y - 26) / scale, 129.5 + (x - 129.5) / scale]

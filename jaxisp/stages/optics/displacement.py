@@ -16,7 +16,6 @@ from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
 from jaxisp.windows import pad, views
 
-_MOST_SCALING = 0.0102  # of |1/scale - 1| within the bounds of LateralChromaticAberration
 Places = tuple[jax.Array, jax.Array, jax.Array]  # an image, and rows and columns in it
 _STRIP = 1 << 16  # px whose gradient goes back at once: the memory of a large frame's would take long to get
 _MOST_SHIFTS = 3  # px; beyond this displacement gathers cost less than sums over shifted views
@@ -31,7 +30,9 @@ class LateralChromaticAberration:
 
 
 @register
-def lateral_chromatic_aberration(params: LateralChromaticAberration, image: LinearRGB) -> LinearRGB:
+def lateral_chromatic_aberration(
+    params: LateralChromaticAberration, image: LinearRGB, *, most: float = 0.01
+) -> LinearRGB:
     """Magnify red and blue about the image centre; green stays.
 
     `y_c(p) = x_c(centre + (p - centre) / scale_c)`, bilinear.
@@ -39,6 +40,7 @@ def lateral_chromatic_aberration(params: LateralChromaticAberration, image: Line
     Args:
         params: scales of red and blue; 1 leaves the channel as it is, bit for bit.
         image: (H, W, 3) linear light, any range.
+        most: of |scale - 1| that is told from less; what small crops need beyond a lens's bounds.
 
     Returns:
         (H, W, 3) linear light. Outside the image its border pixels go on.
@@ -50,15 +52,17 @@ def lateral_chromatic_aberration(params: LateralChromaticAberration, image: Line
     aberration from a single image".
     """
     r, g, b = planes(image)
-    return jnp.stack([_magnified(r, params.red_scale), g, _magnified(b, params.blue_scale)], axis=-1)
+    red, blue = _magnified(r, params.red_scale, most), _magnified(b, params.blue_scale, most)
+    return jnp.stack([red, g, blue], axis=-1)
 
 
-def _magnified(plane: jax.Array, scale: jax.Array) -> jax.Array:
+def _magnified(plane: jax.Array, scale: jax.Array, most: float) -> jax.Array:
     """The plane scaled about its centre."""
     y, x = from_centre(plane.shape, plane.dtype)
     change = 1 / jnp.asarray(scale, plane.dtype) - 1
     dy, dx = change * y, change * x
-    reach_y, reach_x = (math.ceil(_MOST_SCALING * (n - 1) / 2) for n in plane.shape)
+    largest = most / (1 - most) + 1e-4  # of |1/scale - 1|, and rounding
+    reach_y, reach_x = (math.ceil(largest * (n - 1) / 2) for n in plane.shape)
     if max(reach_y, reach_x) > _MOST_SHIFTS:
         return materialize(_picked(materialize(_picked(plane, dy[:, 0], 0)), dx[0], 1))
     return _shifted(_shifted(plane, dy, 0, reach_y), dx, 1, reach_x)

@@ -1,0 +1,84 @@
+"""Grain is told from what only looks random."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.grain import grain_trial, with_grain
+from jaxisp.gap.measured import Split
+from jaxisp.gap.refit import Trial
+from jaxisp.gap.residual import Problem, to_steps
+from jaxisp.gap.verdict import Gap, accounted
+
+_BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 0.47
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """(4, 136, 136, 3) RGB in [0, 1]: smooth colours with a little texture."""
+    rng = np.random.default_rng(0)
+    wide, fine = (gaussian_filter(rng.standard_normal((4, 136, 136, 3)), (0, s, s, 0)) for s in (16, 2))
+    return np.clip(0.5 + 0.15 * wide / wide.std() + 0.02 * fine / fine.std(), 0.05, 0.95)
+
+
+def grain(pictures):
+    noise = np.random.default_rng(1).standard_normal(pictures.shape[:-1])
+    return pictures + 0.015 * noise[..., None]
+
+
+def posterised(pictures):
+    return np.rint(pictures * 20) / 20
+
+
+def dithered(pictures):
+    return np.rint(pictures * 14 + np.tile(_BAYER, (34, 34))[..., None]) / 14
+
+
+def greyed(pictures):
+    """Chroma beyond a limit is cut to it."""
+    grey = pictures.mean(-1, keepdims=True)
+    chroma = np.abs(pictures - grey).max(-1, keepdims=True)
+    return grey + (pictures - grey) * np.minimum(1, 0.08 / chroma)
+
+
+def found(shown, filed):
+    """A problem is only looked at for what its picture is and what the camera's is."""
+    current, target = to_steps(shown).astype(float), to_steps(filed).astype(float)
+    weight = np.ones(target.shape)
+    problem = SimpleNamespace(current=current, target=target, weight=weight, z=np.zeros(1))
+    problem.counts = np.full(len(shown), 136.0**2)
+    problem.tiled = lambda square: Problem.tiled(problem, square)
+    scale = float(((target - current) ** 2).sum(-1).mean())
+    return grain_trial(problem, np.zeros_like(target), Split((0, 2), (1, 3)), scale, 0.05)
+
+
+def test_noise_is_grain(pictures):
+    trial = found(pictures, grain(pictures))
+    assert trial.accepted and trial.closed > 0.8
+    assert trial.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.15)
+
+
+@pytest.mark.parametrize("filed", [posterised, dithered, greyed])
+def test_what_follows_the_picture_is_not(pictures, filed):
+    trial = found(pictures, filed(pictures))
+    assert trial.closed < 0.4
+    assert with_grain([], trial, 0.0) == []
+
+
+def trial(before, after):
+    closed = (before - after) / 10
+    return Trial("film_grain", np.zeros(1), before, after, closed, closed - 0.05, closed + 0.05, 0.05)
+
+
+def test_grain_must_make_half_of_what_is_left():
+    assert with_grain([], trial(11.0, 7.0), 1.0) == []
+    assert with_grain([], trial(11.0, 5.0), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("after", "excess", "enough"), [(5.0, 0.5, True), (7.0, 0.5, False), (7.0, 9.0, True)]
+)
+def test_causes_must_account_for_half_of_the_gap_or_leave_none(after, excess, enough):
+    assert accounted([(trial(11.0, after), [])], Gap(11.0, 1.0), excess) == enough
