@@ -215,7 +215,8 @@ _add(
 )  # fmt: skip
 _add(
     "local_tone_mapping", stage("local_tone_mapping"), "linear",
-    [Move("compression", 0.1, -0.7, 0.7), Move("detail", 0.15, -0.8, 2)],
+    [Move("compression", 0.1, -0.7, 0.7), Move("detail", 0.15, -0.8, 2),
+     Move("sigma", 6, -10, 26, off=14), Move("edges", 0.5, 0, 1)],
     "neighbourhood", "veiling_glare tone_curve sharpening",
 )  # fmt: skip
 _add(

@@ -14,6 +14,7 @@ from jaxisp.windows import gaussian_blur
 
 SECTORS = 16
 _DARK = 0.05  # below this maximum of the channels saturation, which is mostly noise there, fades
+_DARKEST, _EDGE = 0.004, 1.0  # of linear light; stops squared of variance above which an edge is kept
 _REDUCED = 4  # local means are taken of blocks of 4x4: they are wide, and 16 times cheaper there
 
 
@@ -125,6 +126,7 @@ class LocalToneMapping:
     adaptation: Leaf = param(1.0, (0.0, 1.0), "share", doc="1 keeps the frame's own mean, 0 keeps 0.18")
     detail: Leaf = param(0.0, (-0.8, 2.0), "1", doc="share of the difference to the surround that is added")
     sigma: Leaf = param(14.0, (4.0, 40.0), "px", log=True, doc="standard deviation of the surround")
+    edges: Leaf = param(0.0, (0.0, 1.0), "share", doc="of an edge-aware surround, in place of the even one")
 
 
 @register
@@ -132,10 +134,12 @@ def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
     """Lift dark surroundings, hold back bright ones, and raise local contrast.
 
     `y = x (m / k)**(-compression) + detail (Y - m)`, m the Gaussian mean of luma Y, no less than 0.004, and
-    `k = g**adaptation 0.18**(1 - adaptation)`, g the geometric mean of m over the frame.
+    `k = g**adaptation 0.18**(1 - adaptation)`, g the geometric mean of m over the frame. A share `edges` of the
+    logarithm of m is that of a guided filter of log2 Y by itself, which keeps edges of several stops: an
+    even surround has halos there.
 
     Args:
-        params: compression, adaptation, detail, sigma [px].
+        params: compression, adaptation, detail, sigma [px], edges.
         image: (H, W, 3), linear light or encoded, any range.
 
     Returns:
@@ -144,14 +148,24 @@ def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
     Gradient: exact.
 
     Source: Tumblin & Turk 1999; Reinhard et al. 2002 (key of the frame, surround); Durand & Dorsey 2002
-    (base and detail), here with a linear base.
+    (base and detail), here with a linear base or that of He, Sun & Tang 2010 (guided filter).
     """
     y = luma(*planes(image))
     mean = wide_blur(y, params.sigma)
-    surround = jnp.log2(jnp.maximum(mean, 0.004))
+    surround = jnp.log2(jnp.maximum(mean, _DARKEST))
+    edge_aware = _guided(jnp.log2(jnp.maximum(y, _DARKEST)), params.sigma)
+    surround = surround + params.edges * (edge_aware - surround)
     key = params.adaptation * surround.mean() + (1 - params.adaptation) * math.log2(0.18)
     gain = jnp.exp2(-params.compression * (surround - key))
     return image * gain[..., None] + (params.detail * (y - mean))[..., None]
+
+
+def _guided(plane: jax.Array, sigma: jax.Array) -> jax.Array:
+    """A guided filter of (H, W) by itself with Gaussian windows."""
+    mean = wide_blur(plane, sigma)
+    variance = wide_blur((plane - mean) ** 2, sigma)
+    share = variance / (variance + _EDGE)
+    return wide_blur(share, sigma) * plane + wide_blur((1 - share) * mean, sigma)
 
 
 def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:

@@ -70,7 +70,11 @@ def test_nothing_is_changed_while_all_are_off(model):
     np.testing.assert_array_equal(model.render(np.zeros(len(model.coordinates)), light), plain)
 
 
-_WAYS = {"resampling": ("shares",), "chroma_subsampling": ("sampled", "repeated")}
+_WAYS = {
+    "resampling": ("shares",),
+    "chroma_subsampling": ("sampled", "repeated"),
+    "local_tone_mapping": ("sigma", "edges"),
+}
 """Of what another move does."""
 
 
