@@ -65,6 +65,8 @@ def refit(problem: Measured, effect: str, split: Split, scale: float, least: flo
     harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
     if choice is not None:
         held.choose(problem.choices[choice].take(split.held_out))
+        alone = held.units(problem.z)  # what the choice does without the effect is not the effect's
+        harmless = alone if np.nanmean(alone) < np.nanmean(harmless) else harmless
     after = held.units(part.z)
     drop = harmless - after
     lost = float(np.nanmean(drop))

@@ -134,9 +134,9 @@ def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
     """Lift dark surroundings, hold back bright ones, and raise local contrast.
 
     `y = x (m / k)**(-compression) + detail (Y - m)`, m the Gaussian mean of luma Y, no less than 0.004, and
-    `k = g**adaptation 0.18**(1 - adaptation)`, g the geometric mean of m over the frame. A share `edges` of the
-    logarithm of m is that of a guided filter of log2 Y by itself, which keeps edges of several stops: an
-    even surround has halos there.
+    `k = g**adaptation 0.18**(1 - adaptation)`, g the geometric mean of m over the frame. In the gain, a share
+    `edges` of log2 m is a guided filter of log2 Y by itself, which keeps edges of several stops: an even
+    surround has halos there.
 
     Args:
         params: compression, adaptation, detail, sigma [px], edges.
