@@ -7,6 +7,7 @@ A run that was broken off goes on where it stopped. `tables` turns the file into
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 import traceback
@@ -126,9 +127,21 @@ def true_closure(record: dict[str, Any], plain: dict[str, Any] | None) -> float 
     return (record["gap"]["before"] - plain["gap"]["before"]) / above if above > 0 else None
 
 
-def run(todo: Sequence[Case], diagnose: Diagnose, out: Path, jobs: int, options: dict[str, int]) -> None:
-    """Examine every case that `out` does not hold yet; the file is whole after each."""
-    done: dict[str, Any] = json.loads(out.read_text())["cases"] if out.exists() else {}
+def run(
+    todo: Sequence[Case], diagnose: Diagnose, out: Path, jobs: int, options: dict[str, int], command: str = ""
+) -> None:
+    """Examine every case that `out` does not hold yet; the file is whole after each.
+
+    Args:
+        todo: the cases.
+        diagnose: from a folder to a report.
+        out: the results, and the commands that asked for them.
+        jobs: processes.
+        options: of `examine`.
+        command: the arguments that this run was asked for with.
+    """
+    before: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {"cases": {}}
+    done, commands = before["cases"], list(dict.fromkeys([*before.get("commands", []), command]))
     left = [case for case in todo if case.name not in done or "failed" in done[case.name]]
     out.parent.mkdir(parents=True, exist_ok=True)
     for record in _examined(left, diagnose, jobs, options):
@@ -137,7 +150,7 @@ def run(todo: Sequence[Case], diagnose: Diagnose, out: Path, jobs: int, options:
             if other["split"] not in _WITHOUT_TRUTH:
                 other["true_closure"] = true_closure(other, done.get(_plain(other).name))
         partial = out.with_suffix(".partial")
-        partial.write_text(json.dumps({"schema": 1, "cases": done}, indent=1))
+        partial.write_text(json.dumps({"schema": 1, "commands": commands, "cases": done}, indent=1))
         partial.replace(out)
         told = record.get("failed") or f"{record['verdict']} {record['causes']} {record['seconds']} s"
         print(record["case"], "->", told, flush=True)
@@ -188,7 +201,8 @@ def main() -> None:
     from jaxisp.gap import diagnose_folder
 
     options = {"size": arguments.size, "count": arguments.count}
-    run(chosen(arguments), diagnose_folder, arguments.out, arguments.jobs, options)
+    asked = " ".join(sys.argv[1:]).replace(f"--out {arguments.out}", "").strip()
+    run(chosen(arguments), diagnose_folder, arguments.out, arguments.jobs, options, asked)
 
 
 if __name__ == "__main__":

@@ -22,20 +22,15 @@ Record = dict[str, Any]
 
 
 VERDICTS = ("unknown", "none", "effect")
-HEAD = """# Withheld effects
+HEAD = """# Withheld effects of strength {strengths}
 
-Cameras that share no code with the package (`experiments/withheld`), whose effect the diagnosis is not told.
-One results file for all:
+Cameras that share no code with the package (`experiments/withheld`), whose effect the diagnosis is not
+told.{note} One results file for all:
 
 ```sh
-study="python -m experiments.withheld.study --out results.json"
-$study --kind raw+jpeg --split nulls --skip 47 --limit 100
-$study --kind raw+jpeg --split sealed --strengths 3 5
-$study --kind raw+jpeg --split outside --bodies birch --strengths 4
-$study --kind raw+jpeg --split libraw --bodies alder
-$study --kind clean+noisy --split nulls --skip 24 --limit 48 --size 128 --count 6
-$study --kind clean+noisy --split sealed --bodies birch --strengths 3 5 --size 128 --count 6
-python -m experiments.withheld.tables results.json -o docs/results/withheld.md
+study="python -m experiments.withheld.study --out {results}"
+{commands}
+python -m experiments.withheld.tables {results} -o {page}
 ```
 
 The nulls that are skipped set the thresholds ([how](../diagnosis.md)). A command that was stopped goes on.
@@ -270,10 +265,10 @@ SECTIONS = {
 }
 
 
-def markdown(records: Sequence[Record]) -> str:
-    """Sections by kind of data and split, then seconds and failures."""
+def markdown(records: Sequence[Record], head: str = "") -> str:
+    """The head; sections by kind of data and split; then seconds and failures."""
     whole = [r for r in records if "failed" not in r]
-    parts = [HEAD]
+    parts = [head]
     for kind in sorted({r["kind"] for r in whole}):
         for split, (title, section) in SECTIONS.items():
             mine = [r for r in whole if r["kind"] == kind and r["split"] == split]
@@ -292,11 +287,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", type=Path, nargs="+")
     parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--note", default="", help="a sentence about these results")
     arguments = parser.parse_args()
     records: dict[str, Record] = {}
+    commands: list[str] = []
     for path in arguments.results:
-        records |= json.loads(path.read_text())["cases"]
-    arguments.out.write_text(markdown(list(records.values())))
+        found = json.loads(path.read_text())
+        records |= found["cases"]
+        commands += [f"$study {command}" for command in found.get("commands", [])]
+    levels = {level for r in records.values() if r["split"] == "sealed" for _, level in r["effects"]}
+    head = HEAD.format(
+        strengths=" and ".join(map(str, sorted(levels))),
+        note=f" {arguments.note}" if arguments.note else "",
+        results=" ".join(str(path) for path in arguments.results),
+        commands="\n".join(dict.fromkeys(commands)),
+        page=arguments.out,
+    )
+    arguments.out.write_text(markdown(list(records.values()), head))
 
 
 if __name__ == "__main__":
