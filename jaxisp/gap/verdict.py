@@ -1,11 +1,13 @@
 """The gap at the base and its causes: effects that lower it by more than where nothing is missing."""
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxisp.gap.effects import RAW_JPEG
-from jaxisp.gap.grain import grain_trial, with_grain
+from jaxisp.gap.grain import Cause, grain_trial, with_grain
 from jaxisp.gap.measured import Case
 from jaxisp.gap.which import Tick, search
 
@@ -74,10 +76,22 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     if not could or not accounted(causes, gap, NULL_EXCESS[kind]):
         causes, problem.model = [], model
         problem.move_to(start)
-    return Found(causes, trials, promises)
+    return Found(by_closure(causes), trials, promises)
 
 
 def accounted(causes: list[Any], gap: Gap, excess: float) -> bool:
     """Whether the causes close enough, or leave a gap that is within `excess` of the floor."""
     left = causes[-1][0].after if causes else gap.before
     return left < gap.floor * (1 + excess) or gap.before - left >= ACCOUNTED * gap.scale
+
+
+def by_closure(causes: Sequence[Cause]) -> list[Cause]:
+    """The causes in the order of decreasing closure, with the same drops and the same end: what was added
+    later may close more."""
+    found: list[Cause] = []
+    after = causes[-1][0].after if causes else 0.0
+    for trial, alike in sorted(causes, key=lambda cause: cause[0].closed):
+        before = after + trial.before - trial.after
+        found.insert(0, (dataclasses.replace(trial, before=before, after=after), alike))
+        after = before
+    return found

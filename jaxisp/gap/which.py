@@ -62,12 +62,13 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
 
     Args:
         trials: of one step.
-        seen: effects that the files themselves show: what others close may be theirs, they come first.
+        seen: effects that the files themselves show: what others close may be theirs, so that they come
+            first where they could lead.
     """
     accepted = sorted((t for t in trials if t.accepted), key=lambda t: -t.closed)
     if not accepted:
         return None
-    shown = [t for t in accepted if t.effect in seen]
+    shown = [t for t in accepted if t.effect in seen and t.closed >= LEADING]
     if shown:
         return shown[0]
     first = accepted[0]

@@ -43,3 +43,4 @@ def test_what_the_files_show_comes_first_where_it_is_accepted():
     assert best([near, shown]) is near
     assert best([near, shown], ["double_compression"]) is shown
     assert best([near, trial("double_compression", 0.05, 0.0, 0.1)], ["double_compression"]) is near
+    assert best([near, trial("double_compression", 0.2, 0.15, 0.25)], ["double_compression"]) is near
