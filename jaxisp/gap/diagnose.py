@@ -168,9 +168,11 @@ def _case(
     from jaxisp.gap.noisy_case import clean_case
 
     is_camera = camera is not None
-    return clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera), failed
+    case = clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera)
+    return case, failed + [(name, _STRAY) for name in case.strays]
 
 
+_STRAY = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
 _NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
 
 

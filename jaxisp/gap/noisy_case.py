@@ -30,6 +30,9 @@ from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 _ABSORBED = ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level")
 """What the plain base takes up."""
 _SMOOTHING = 2.0
+_STRAY = 12.0
+"""How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
+were fitted to few colours say nothing of others."""
 _UNLIKE = 0.25
 """Logarithm of the exposure by which a scene differs from the others beyond what is the fit's error."""
 
@@ -69,6 +72,11 @@ def clean_case(
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
     camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
+    strays = _strays(mean, split)
+    kept = [p for p in loaded if p.name not in strays]
+    if strays and len(kept) > 1:
+        case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera)
+        return dataclasses.replace(case, strays=(*strays, *case.strays))
     stated = {"jpeg_quantization"} if file is not None else set()
     if file is not None and file.subsampling != "4:4:4":
         stated.add("chroma_subsampling")
@@ -85,6 +93,13 @@ def clean_case(
     reference = _toned(case.problem.pairs.light, None if believed else mean)
     offered = [name for name in case.offered if name not in stated]
     return dataclasses.replace(case, offered=offered, reference=reference)
+
+
+def _strays(mean: Problem, split: Split) -> tuple[str, ...]:
+    """The held-out pairs that the colours and tones of the fitted ones do not carry over to."""
+    errors = mean.errors(mean.z)
+    usual = float(np.median(errors[list(split.fit)]))
+    return tuple(mean.pairs.names[i] for i in split.held_out if errors[i] > _STRAY * usual)
 
 
 def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:

@@ -126,3 +126,16 @@ def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
     pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
     camera, _ = fit_mean(None, pairs, (0, 2), None)
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
+
+
+def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path):
+    """Its colours are another camera's; the others are diagnosed without it."""
+    write(tmp_path, "alder", {"nothing": 1}, "clean+noisy", size=SIZE, count=6)
+    stray = sorted(tmp_path.glob("*.jpg"))[3]
+    picture = np.asarray(Image.open(stray))
+    Image.fromarray(255 - picture).save(stray, quality=95)
+    report = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - {"vignetting"})).report
+    (left_out,) = report["pairs"]["failed"]
+    assert left_out["file"] == stray.stem and "carry over" in left_out["reason"]
+    assert len(report["pairs"]["fit"] + report["pairs"]["held_out"]) == 5
+    assert report["verdict"] == "none"
