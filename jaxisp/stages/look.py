@@ -174,7 +174,7 @@ def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:
     rows, columns = (-n % _REDUCED for n in (h, w))
     padded = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
     small = padded.reshape((h + rows) // _REDUCED, _REDUCED, (w + columns) // _REDUCED, _REDUCED).mean((1, 3))
-    # a block and the linear interpolation back spread by themselves
-    spread = jnp.maximum((jnp.asarray(sigma, plane.dtype) / _REDUCED) ** 2 - 0.3, 0.1)
+    # a block's 15/12 px2 and the 16/6 px2 of linear interpolation back spread by themselves: 0.245 blocks
+    spread = jnp.maximum((jnp.asarray(sigma, plane.dtype) / _REDUCED) ** 2 - 0.245, 0.1)
     small = gaussian_blur(small, jnp.sqrt(spread), 30)
     return jax.image.resize(small, padded.shape, "linear")[:h, :w]

@@ -39,10 +39,10 @@ def test_local_tone_mapping_is_its_formula(sigma, edges):
     out, want = mapped(image, **params), wanted(image, **params)
     inner = np.s_[24:-24, 24:-24]  # its means are of 4x4 blocks, borders of which differ
     error, change = (np.sqrt(np.mean((out - a)[inner] ** 2)) for a in (want, image))
-    assert error < 0.02 * change
+    assert error < 0.01 * change
 
 
-def test_an_edge_of_several_stops_has_no_halo_beside_an_edge_aware_surround():
+def test_an_edge_of_several_stops_has_less_of_a_halo_beside_an_edge_aware_surround():
     image = np.full((96, 128, 3), 0.8)
     image[:, 64:] = 0.01
     even, aware = (mapped(image, compression=0.4, edges=e)[48, :, 1] for e in (0, 1))
