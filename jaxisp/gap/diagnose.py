@@ -169,10 +169,10 @@ def _case(
 
     is_camera = camera is not None
     case = clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera)
-    return case, failed + [(name, _STRAY) for name in case.strays]
+    return case, failed + [(name, _LEFT_OUT) for name in case.strays]
 
 
-_STRAY = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
+_LEFT_OUT = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
 _NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
 
 

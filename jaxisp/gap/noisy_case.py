@@ -74,7 +74,7 @@ def clean_case(
     camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
     strays = _strays(mean, split)
     kept = [p for p in loaded if p.name not in strays]
-    if strays and len(kept) > 1:
+    if 1 < len(kept) < len(loaded):
         case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera)
         return dataclasses.replace(case, strays=(*strays, *case.strays))
     stated = {"jpeg_quantization"} if file is not None else set()

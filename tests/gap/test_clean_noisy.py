@@ -10,7 +10,7 @@ from PIL import Image
 
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
-from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap import EFFECTS, diagnose, noisy_case
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import Camera, fit_mean, noise_freedom, primaries
@@ -139,3 +139,10 @@ def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path):
     assert left_out["file"] == stray.stem and "carry over" in left_out["reason"]
     assert len(report["pairs"]["fit"] + report["pairs"]["held_out"]) == 5
     assert report["verdict"] == "none"
+
+
+def test_the_halves_of_one_pair_are_never_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(noisy_case, "_STRAY", 0.0)  # all that is held out is far off
+    write(tmp_path, "alder", {"nothing": 1}, "clean+noisy", size=SIZE, count=1)
+    report = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - {"vignetting"})).report
+    assert report["pairs"]["failed"] == [] and len(report["pairs"]["held_out"]) == 1
