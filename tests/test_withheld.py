@@ -1,6 +1,7 @@
 """The cameras of the withheld-effect study: independent of the package, and each effect does something."""
 
 import ast
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from experiments.withheld.demosaic import DEMOSAICKERS, demosaic, mosaicked
 from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
-from experiments.withheld.study import cases, examine, kept, true_closure
+from experiments.withheld.study import cases, examine, kept, run, true_closure
 from experiments.withheld.tables import markdown, wilson
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
@@ -215,3 +216,16 @@ def test_tables_count_what_was_said() -> None:
     assert "| medians | chroma_denoising | (none) 1 | 0% " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3
+
+
+def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path) -> None:
+    out = tmp_path / "results.json"
+    first = list(cases("raw+jpeg", "nulls", ["alder"], [1], "two"))
+
+    def diagnosis(folder, **options):
+        return report("none")
+
+    for command, todo in (("--limit 1", first[:1]), ("--limit 1", first[:1]), ("--limit 2", first[:2])):
+        run(todo, diagnosis, out, 1, {"size": 64, "count": 2}, command)
+    found = json.loads(out.read_text())
+    assert found["commands"] == ["--limit 1", "--limit 2"] and len(found["cases"]) == 2

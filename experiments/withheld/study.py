@@ -142,6 +142,7 @@ def run(
     """
     before: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {"cases": {}}
     done, commands = before["cases"], list(dict.fromkeys([*before.get("commands", []), command]))
+    commands = [asked for asked in commands if asked]
     left = [case for case in todo if case.name not in done or "failed" in done[case.name]]
     out.parent.mkdir(parents=True, exist_ok=True)
     for record in _examined(left, diagnose, jobs, options):

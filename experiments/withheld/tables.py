@@ -22,7 +22,7 @@ Record = dict[str, Any]
 
 
 VERDICTS = ("unknown", "none", "effect")
-HEAD = """# Withheld effects of strength {strengths}
+HEAD = """# Withheld effects{strengths}
 
 Cameras that share no code with the package (`experiments/withheld`), whose effect the diagnosis is not
 told.{note} One results file for all:
@@ -297,7 +297,7 @@ def main() -> None:
         commands += [f"$study {command}" for command in found.get("commands", [])]
     levels = {level for r in records.values() if r["split"] == "sealed" for _, level in r["effects"]}
     head = HEAD.format(
-        strengths=" and ".join(map(str, sorted(levels))),
+        strengths=f", strength {' and '.join(map(str, sorted(levels)))}" if levels else "",
         note=f" {arguments.note}" if arguments.note else "",
         results=" ".join(str(path) for path in arguments.results),
         commands="\n".join(dict.fromkeys(commands)),

@@ -123,7 +123,7 @@ def _follows_values(
     sides = [np.isin(np.arange(len(flat)), half)[:, None, None] & flat for half in halves]
     height, width = flat.shape[1:]
     place = np.add.outer(np.arange(height) % _GRID * _GRID, np.arange(width) % _GRID)
-    shared, energy = 0.0, 1e-6
+    shared = energy = 0.0
     for c in range(3):
         cell = np.clip(values[..., c], 0, 255).astype(int) * _GRID**2 + place
         counts = [np.bincount(cell[side], minlength=256 * _GRID**2) for side in sides]

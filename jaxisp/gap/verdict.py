@@ -79,7 +79,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     return Found(by_closure(causes), trials, promises)
 
 
-def accounted(causes: list[Any], gap: Gap, excess: float) -> bool:
+def accounted(causes: Sequence[Cause], gap: Gap, excess: float) -> bool:
     """Whether the causes close enough, or leave a gap that is within `excess` of the floor."""
     left = causes[-1][0].after if causes else gap.before
     return left < gap.floor * (1 + excess) or gap.before - left >= ACCOUNTED * gap.scale

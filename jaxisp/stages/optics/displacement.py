@@ -40,7 +40,8 @@ def lateral_chromatic_aberration(
     Args:
         params: scales of red and blue; 1 leaves the channel as it is, bit for bit.
         image: (H, W, 3) linear light, any range.
-        most: of |scale - 1| that is told from less; what small crops need beyond a lens's bounds.
+        most: the largest |scale - 1| there is, which says how far a sample may lie; small crops of a picture
+            need more than a lens's bounds.
 
     Returns:
         (H, W, 3) linear light. Outside the image its border pixels go on.
