@@ -10,7 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.effects import Effect, Move
 from jaxisp.gap.model import Coordinate, Model, build, plain_freedom
-from jaxisp.gap.residual import Pairs, Problem, start_matrix, to_steps
+from jaxisp.gap.noisy_prior import TYPICAL, plain_prior, typical_matrix
+from jaxisp.gap.residual import Pairs, Problem, to_steps
 from jaxisp.gap.solve import fit
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
@@ -18,8 +19,6 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS
 from jaxisp.stages.jpeg import JpegTables
 
-_TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
-"""What a phone's colour matrix has beside the identity; its rows keep white."""
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
 _SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
 _CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
@@ -143,23 +142,42 @@ def fit_mean(
     """
     camera = Camera(file, cfa or "RGGB")
     pairs = _scaled(pairs)
-    matrix = start_matrix(np.asarray(pairs.light), pairs.pictures, pairs.mask)
-    start: Params = {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
+    gains = _gains(pairs, fit_on)
+    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(typical_matrix(gains), -4, 4)))}
     problem = Problem(camera.mean_model(start), pairs)
-    for steps in (3, 1, 1, 1, 1, 2):
-        fit(problem, problem.model.base_indices, fit_on, steps=steps)
+    for steps in (5, 1, 1, 1, 1, 2):
+        _fit(problem, fit_on, gains, steps)
         problem.pairs, change = _exposed(problem)
         pairs = problem.pairs
         problem.move_to(problem.z)
         if change < _SETTLED and steps == 1:
             break
-    fit(problem, problem.model.base_indices, fit_on, steps=2)
+    _fit(problem, fit_on, gains, 2)
     fitted = problem.model.moved(problem.z).shared
     camera = _structured(camera, fitted, pairs, fit_on, cfa is None)
     problem = Problem(camera.mean_model(fitted), pairs)
     problem.weigh(problem.robust_weights())
-    fit(problem, problem.model.base_indices, fit_on, steps=4)
+    _fit(problem, fit_on, gains, 4)
     return camera, problem
+
+
+def _fit(problem: Problem, fit_on: Sequence[int], gains: np.ndarray, steps: int) -> None:
+    prior = plain_prior(problem, gains, fit_on)
+    fit(problem, problem.model.base_indices, fit_on, steps=steps, prior=prior)
+
+
+def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
+    """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
+    which = list(fit_on)
+    own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
+    return (_linear(pairs.pictures[which]) * own).sum((0, 1, 2)) / np.maximum(
+        (light * own).sum((0, 1, 2)), 1e-9
+    )
+
+
+def _linear(pictures: np.ndarray) -> np.ndarray:
+    pictures = np.clip(pictures, 0, 1).astype(np.float64)
+    return np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
 
 
 def _structured(
@@ -204,9 +222,7 @@ def _scaled(pairs: Pairs) -> Pairs:
     """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
     may be of another exposure, tens of times as dark."""
     light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
-    pictures = np.clip(pairs.pictures, 0, 1).astype(np.float64)
-    linear = np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
-    ratio = (linear * own).sum((1, 2, 3)) / np.maximum((light * own).sum((1, 2, 3)), 1e-9)
+    ratio = (_linear(pairs.pictures) * own).sum((1, 2, 3)) / np.maximum((light * own).sum((1, 2, 3)), 1e-9)
     if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
         ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
     return dataclasses.replace(pairs, light=pairs.light * ratio.astype(np.float32)[:, None, None, None])
@@ -287,7 +303,7 @@ def primaries(matrix: Any, share: float) -> Params:
 
     How the two share what the clean picture's colours need is told by what demosaicking does at edges.
     """
-    mixing = np.eye(3) + share * _TYPICAL
+    mixing = np.eye(3) + share * TYPICAL
     before, after = np.linalg.inv(mixing), np.asarray(matrix) @ mixing
     return {
         "primaries": ColorMatrix(matrix=np.asarray(np.clip(before, -4, 4), np.float32)),

@@ -1,7 +1,7 @@
 """Bounded Gauss-Newton on normal equations that were computed by secants."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -33,6 +33,13 @@ def solve(gram: np.ndarray, slope: np.ndarray, z: np.ndarray, ranges: np.ndarray
     return move
 
 
+class Belief(Protocol):
+    """A prior of what is fitted, in units of the mean square error."""
+
+    def penalty(self, z: np.ndarray) -> float: ...
+    def normal(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+
+
 def fit(
     problem: Any,
     which: Sequence[int],
@@ -40,6 +47,7 @@ def fit(
     *,
     steps: int,
     fresh: Sequence[int] | None = None,
+    prior: Belief | None = None,
 ) -> float:
     """Gauss-Newton over some coordinates on some scenes, in place.
 
@@ -48,21 +56,23 @@ def fit(
         scenes: the pairs that are looked at.
         steps: at most so many.
         fresh: whose columns are computed anew at each step; the others' are kept. All by default.
+        prior: what is believed of these coordinates beforehand.
 
     Returns:
-        the mean square residual over these scenes.
+        the mean square residual over these scenes, and what the prior adds to it.
     """
     which, scenes = list(which), list(scenes)
-    error = problem.errors(problem.z)[scenes].mean()
+    error = _objective(problem, problem.z, which, scenes, prior)
     kept = {} if fresh is None else {i: problem.columns[i] for i in which if i not in set(fresh)}
     for _ in range(steps):
         problem.columns.update(kept)
         problem.compute(which)
-        gram, slope = problem.normal(which)
-        move = solve(
-            gram[scenes].sum(0), slope[scenes].sum(0), problem.z[which], problem.model.ranges[:, which]
-        )
-        better = _line_search(problem, which, move, scenes, error)
+        gram, slope = (part[scenes].sum(0) for part in problem.normal(which))
+        if prior is not None:
+            own_gram, own_slope = prior.normal(problem.z[which])
+            gram, slope = gram + len(scenes) * own_gram, slope + len(scenes) * own_slope
+        move = solve(gram, slope, problem.z[which], problem.model.ranges[:, which])
+        better = _line_search(problem, which, move, scenes, error, prior)
         if better is None:
             break
         z, lower = better
@@ -73,13 +83,25 @@ def fit(
     return float(error)
 
 
+def _objective(
+    problem: Any, z: np.ndarray, which: Sequence[int], scenes: Sequence[int], prior: Belief | None
+) -> float:
+    error = float(problem.errors(z)[scenes].mean())
+    return error if prior is None else error + prior.penalty(z[which])
+
+
 def _line_search(
-    problem: Any, which: Sequence[int], move: np.ndarray, scenes: Sequence[int], error: float
+    problem: Any,
+    which: Sequence[int],
+    move: np.ndarray,
+    scenes: Sequence[int],
+    error: float,
+    prior: Belief | None,
 ) -> tuple[np.ndarray, float] | None:
     for share in (1.0, 0.5, 0.2):
         z = problem.z.copy()
         z[which] = np.clip(z[which] + share * move, *problem.model.ranges[:, which])
-        lower = problem.errors(z)[scenes].mean()
+        lower = _objective(problem, z, which, scenes, prior)
         if lower < error:
             return z, lower
     return None

@@ -1,0 +1,104 @@
+"""What the plain base of clean+noisy pairs is where the fitted pictures say nothing of a colour or a tone."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.gap import noisy_base
+from jaxisp.gap.noisy_base import Camera, fit_mean
+from jaxisp.gap.noisy_prior import TYPICAL, Prior, plain_prior, typical_matrix
+from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.solve import fit
+from jaxisp.pipeline import Params
+from jaxisp.stages.balance import ColorMatrix
+from tests.conftest import smooth_image
+
+SIDE = 64
+
+
+def encoded(linear: np.ndarray) -> np.ndarray:
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-6) ** (1 / 2.4) - 0.055)
+
+
+def pairs_of_few_colours() -> Pairs:
+    """Two dark brown crops that are fitted, and two bright ones of all colours."""
+    rng = np.random.default_rng(1)
+    plane = [smooth_image((SIDE, SIDE), k) for k in range(12)]
+    light = np.stack([np.stack(plane[3 * n : 3 * n + 3], -1) for n in range(4)])
+    brown = light[:2, ..., :1] * np.array([0.2, 0.12, 0.08])
+    light[:2] = brown * (1 + 0.05 * light[:2])
+    seen = light @ (np.eye(3) + TYPICAL).T
+    noisy = encoded(seen) + 0.03 * rng.normal(size=light.shape)
+    pictures = np.round(255 * np.clip(noisy, 0, 1)) / 255
+    mask = np.ones(light.shape[:3], bool)
+    return Pairs(tuple("abcd"), jnp.asarray(light, jnp.float32), pictures.astype(np.float32), mask)
+
+
+@pytest.fixture
+def problem() -> Problem:
+    gains = np.array([1.0, 0.8, 1.1])
+    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(typical_matrix(gains)))}
+    return Problem(Camera(None).mean_model(start), pairs_of_few_colours())
+
+
+def test_the_usual_camera_costs_nothing_and_moves_nothing(problem):
+    prior = plain_prior(problem, np.array([1.0, 0.8, 1.1]), (0, 1))
+    z = np.zeros(len(problem.model.base))
+    assert prior.weight > 0 and prior.penalty(z) == pytest.approx(0, abs=1e-9 * prior.weight)
+    np.testing.assert_allclose(prior.normal(z)[1], 0, atol=1e-4 * prior.weight)
+    z[2] = 1.0  # red takes as much from green
+    assert prior.penalty(z) > prior.weight
+
+
+def test_its_gradient_is_that_of_its_penalty(problem):
+    prior = plain_prior(problem, np.ones(3), (0, 1))
+    z, step = np.random.default_rng(0).normal(size=len(problem.model.base)), 1e-3
+    slope = [(prior.penalty(z - d) - prior.penalty(z + d)) / (2 * step) for d in step * np.eye(len(z))]
+    gram, right = prior.normal(z)
+    np.testing.assert_allclose(2 * right, slope, rtol=1e-6, atol=1e-6 * np.abs(right).max())
+    np.testing.assert_allclose(prior.normal(z + 0.1)[1], right - 0.1 * gram.sum(1), rtol=1e-6, atol=1e-9)
+
+
+def test_a_fit_with_a_prior_is_ridge_regression():
+    """Closed form: the columns of this problem do not depend on where it is."""
+    rng = np.random.default_rng(2)
+    design, target = rng.normal(size=(40, 3)), rng.normal(size=40)
+    prior = Prior(rng.normal(size=(2, 3)), np.array([1.0, -2.0]), 0.7)
+
+    class Line:
+        z, columns = np.zeros(3), {}
+        model = type("M", (), {"ranges": np.array([[-9.0] * 3, [9.0] * 3])})
+
+        def errors(self, z):
+            return np.array([((target - design @ z) ** 2).mean()])
+
+        def compute(self, which):
+            pass
+
+        def normal(self, which):
+            right = design.T @ (target - design @ self.z)
+            return (design.T @ design)[None] / 40, right[None] / 40
+
+        def move_to(self, z):
+            self.z = z
+
+    line = Line()
+    fit(line, range(3), [0], steps=20, prior=prior)
+    rows = np.concatenate([design / np.sqrt(40), np.sqrt(0.7) * prior.rows])
+    wanted = np.concatenate([target / np.sqrt(40), np.sqrt(0.7) * prior.wanted])
+    np.testing.assert_allclose(line.z, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-3)
+
+
+def test_colours_that_were_not_fitted_come_out_as_a_camera_has_them(monkeypatch):
+    pairs = pairs_of_few_colours()
+
+    def far_off() -> float:
+        _, mean = fit_mean(None, pairs, (0, 1), "RGGB")
+        errors = mean.errors(mean.z)
+        return float(errors[2:].mean() / errors[:2].mean())
+
+    with_prior = far_off()
+    nothing = Prior(np.zeros((1, 22)), np.zeros(1), 0.0)
+    monkeypatch.setattr(noisy_base, "plain_prior", lambda *a: nothing)
+    assert with_prior < 0.6 * far_off()
