@@ -164,7 +164,7 @@ def _case(
     if len(loaded) == 1:
         loaded = 2 * loaded  # its tiles are told apart by masks
     if found.kind == RAW_JPEG:
-        return _raw_case(loaded, camera, exclude, tick), failed
+        return raw_case(loaded, camera, exclude, halves(len(loaded)), tick), failed
     from jaxisp.gap.noisy_case import clean_case
 
     is_camera = camera is not None
@@ -204,9 +204,11 @@ def halves(count: int) -> Split:
     return Split(tuple(range(0, count, 2)), tuple(range(1, count, 2)))
 
 
-def _raw_case(loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence[str], tick: Tick) -> Case:
+def raw_case(
+    loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence[str], split: Split, tick: Tick
+) -> Case:
+    """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted."""
     pairs = prepare.raw_pairs(loaded)
-    split = halves(len(loaded))
     effects = prepare.candidates(RAW_JPEG, exclude)
     tick(0, MOST_CAUSES, "fitting the base")
     absorbed: dict[str, float]

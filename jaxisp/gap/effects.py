@@ -72,6 +72,8 @@ class Effect:
         shows_in: the kinds of data that can show it.
         contains: effects that this one can imitate in full: they are preferred to it.
         random: it adds noise, and is seen in statistics only.
+        strong: for an effect that smooths noise, points (the changes of its moves, in order) from which a
+            fit may start as well, with more noise than the base has: the base imitates it by less.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Effect:
     shows_in: tuple[str, ...] = BOTH
     contains: tuple[str, ...] = ()
     random: bool = False
+    strong: tuple[tuple[float, ...], ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As `jaxisp effects --json` lists it."""
@@ -121,6 +124,11 @@ _QUALITIES = (20.0, 35.0, 50.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0, 94.0)
 
 def _entries(field: str, count: int, step: float, low: float, high: float) -> tuple[Move, ...]:
     return tuple(Move(field, step, low, high, (i,)) for i in range(count))
+
+
+def _each(count: int) -> tuple[tuple[float, ...], ...]:
+    """One form at a time, in full."""
+    return tuple(tuple(float(i == k) for i in range(count)) for k in range(count))
 
 
 def _add(
@@ -227,12 +235,12 @@ _add(
 _add(
     "luma_denoising", stage("luma_denoising"), "encoded",
     _entries("shares", 5, 0.5, -0.2, 1.2),
-    "frequency lag edge", "optical_blur resampling demosaicking",
+    "frequency lag edge", "optical_blur resampling demosaicking", strong=_each(5),
 )  # fmt: skip
 _add(
     "chroma_denoising", stage("chroma_denoising"), "encoded",
     _entries("shares", 5, 0.5, -0.2, 1.2),
-    "frequency channel lag", "chroma_subsampling jpeg_quantization demosaicking",
+    "frequency channel lag", "chroma_subsampling jpeg_quantization demosaicking", strong=_each(5),
 )  # fmt: skip
 _add(
     "sharpening", stage("sharpening"), "encoded",
@@ -254,6 +262,7 @@ _add(
     "chroma_subsampling", stage("chroma_subsampling"), "output",
     [Move(share, 1.0, 0, 1, far=(1.0,)) for share in ("horizontal", "vertical", "sampled", "repeated")],
     "channel frequency edge", "chroma_denoising jpeg_quantization",
+    strong=((1, 0, 0, 0), (1, 1, 0, 0), (1, 1, 0, 1), (1, 1, 1, 1)),
 )  # fmt: skip
 _add(
     "double_compression", stage("earlier_compression"), "output",

@@ -217,12 +217,14 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     end = len(nodes)
     while is_file(nodes[end - 1]):
         end -= 1
+    last = nodes[end - 1]
+    clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
     return {
         "scene": camera if scene < 0 else scene,
         "mosaic": mosaic,
         "camera": camera,
         "linear": encoded,
-        "encoded": end,
+        "encoded": end - clipped,
         "output": end,
     }
 

@@ -81,7 +81,7 @@ def clean_case(
     if file is not None and file.subsampling != "4:4:4":
         stated.add("chroma_subsampling")
     if simulator is None:
-        case = _plain(camera, mean, split, effects, seed, tick)
+        case = plain_case(camera, mean, split, effects, seed, tick)
     else:
         if is_camera:
             given, pairs = of_camera(simulator, effects, camera, mean, split.fit)
@@ -115,9 +115,10 @@ def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
     return np.clip(np.asarray(encoded), 0, 1)
 
 
-def _plain(
+def plain_case(
     camera: Camera, mean: Problem, split: Split, effects: Sequence[Effect], seed: int, tick: Tick
 ) -> Case:
+    """A plain camera whose mean was fitted, with its noise fitted too and all effects in it, off."""
     model, shown = _placed(camera.whole_model(mean.model.moved(mean.z), effects), mean.pairs)
     seen = _codes(model.shared, camera, mean.pairs)
     choices = [  # the demosaicker nearest to the pictures may imitate an effect

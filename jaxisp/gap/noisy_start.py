@@ -12,6 +12,8 @@ _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correla
              "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip
 """What the square of an effect's strength adds to the variance in the dark."""
 _TIMES = (0.2, 0.4, 0.8, 1.6, 3.2)
+_LESS = (0.75, 0.5)
+_MORE = (1.0, 2.0, 5.0, 12.0, 30.0)
 
 
 def noise_indices(model: Model) -> list[int]:
@@ -35,20 +37,27 @@ def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
 
 
 def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
-    """Several strengths of a noise, with more or less of the base's own noise taken back; none for what is no
-    noise."""
+    """Where the fit of an effect may begin: several strengths of a noise, with more or less of the base's own
+    taken back; strong forms of what smooths noise, with more of it; none for other effects."""
     coordinates = [model.coordinates[i] for i in own]
-    if not own or coordinates[0].node not in EFFECTS or not EFFECTS[coordinates[0].node].random:
+    if not own or coordinates[0].node not in EFFECTS:
         return []
-    first, found = own[0], [z]
-    for times in _TIMES:
-        value = float(np.clip(z[first] + times * coordinates[0].move.step, *model.ranges[:, first]))
-        point = placed(model, z, first, value)
-        found += [point, *(_with_less(model, point, share) for share in (0.75, 0.5))]
-    return found
+    effect = EFFECTS[coordinates[0].node]
+    found = [z]
+    if effect.random:
+        first = own[0]
+        for times in _TIMES:
+            value = float(np.clip(z[first] + times * coordinates[0].move.step, *model.ranges[:, first]))
+            point = placed(model, z, first, value)
+            found += [point, *(_with_noise(model, point, share) for share in _LESS)]
+    for form in effect.strong:
+        point = z.copy()
+        point[own] = np.clip(form, *model.ranges[:, own])
+        found += [_with_noise(model, point, share) for share in _MORE]
+    return found if len(found) > 1 else []
 
 
-def _with_less(model: Model, z: np.ndarray, share: float) -> np.ndarray:
+def _with_noise(model: Model, z: np.ndarray, share: float) -> np.ndarray:
     """The point with both noises of the base at a share of their variance."""
     moved = z.copy()
     for fields, of in ((("shot",), share), (("read", "std"), np.sqrt(share))):

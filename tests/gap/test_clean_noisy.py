@@ -128,6 +128,16 @@ def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
 
 
+@pytest.mark.parametrize("effect", ["chroma_subsampling", "chroma_denoising"])
+def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
+    """Gains and order are seen in false colours at edges, which it hides."""
+    write(tmp_path, "birch", {effect: 4}, "clean+noisy", size=SIZE, count=COUNT)
+    pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
+    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
+    np.testing.assert_allclose(camera.gains, (2.2, 1.4), atol=0.3)
+
+
 def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path):
     """Its colours are another camera's; the others are diagnosed without it."""
     write(tmp_path, "alder", {"nothing": 1}, "clean+noisy", size=SIZE, count=6)

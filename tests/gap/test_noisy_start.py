@@ -39,6 +39,10 @@ def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
     shot = noise_indices(model)[0]
     assert {round(float((SHOT + p[shot]) / SHOT), 2) for p in found} == {1.0, 0.75, 0.5}
     assert starts(model, z, model.indices(["optical_blur"])) == [] == starts(model, z, [])
+    smoothing = model.indices(["chroma_subsampling"])
+    forms = starts(model, z, smoothing)
+    assert {tuple(p[smoothing]) for p in forms} >= {(0, 0, 0, 0), (1, 1, 0, 1)}
+    assert max((SHOT + p[shot]) / SHOT for p in forms) > 10  # the base imitates it by less noise
     moved = [*own, *noise_indices(model)]
     for p in found:
         assert (p[moved] >= model.ranges[0, moved] - 1e-9).all()

@@ -1,0 +1,176 @@
+"""Whether the interval of what an effect closes holds on scenes that were neither fitted nor held out.
+
+    python -m experiments.fresh_scenes --kind clean+noisy --bodies alder --out docs/results/fresh-scenes.json
+
+The effect's own refit, as the diagnosis made it, is put before further scenes of the same camera; what it
+closes there must lie in the interval that the held-out scenes gave. A run that was broken off goes on.
+"""
+
+import argparse
+import dataclasses
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.withheld.bodies import BODIES
+from experiments.withheld.effects import ABSORBABLE, DEVELOP, KINDS, PAIRED, SEALED, VOCABULARY, shows_in
+from experiments.withheld.scenes import SETS, Scenes, scenes
+from experiments.withheld.shoot import write
+from experiments.withheld.tables import table, wilson
+from jaxisp.gap import prepare
+from jaxisp.gap.diagnose import raw_case
+from jaxisp.gap.effects import CLEAN_NOISY
+from jaxisp.gap.measured import Case, Split
+from jaxisp.gap.noisy_base import fit_mean
+from jaxisp.gap.noisy_case import plain_case
+from jaxisp.gap.noisy_pairs import clean_pairs
+from jaxisp.gap.verdict import gap_at, searched
+from jaxisp.io.datasets import Loaded, open_dataset
+
+SPLITS = {"develop": DEVELOP, "sealed": SEALED}
+OWN = {"develop": "one", "sealed": "two"}
+"""The scenes that are diagnosed, as in the study; the fresh ones are the first of the other sets."""
+_RANDOM_IN_PIXELS = "film_grain"  # no picture of it can be put before other scenes
+_HALF = {PAIRED: (256, 4), CLEAN_NOISY: (128, 3)}
+"""Side of a scene, and how many are fitted, as many held out, and as many in each set of fresh ones."""
+
+
+def quiet(done: int, total: int, text: str) -> None:
+    pass
+
+
+def pictures(own: str, size: int, half: int) -> Scenes:
+    """Two halves of one set, turn about, then one half of each other set."""
+    found = {f"0{k}{name}": s for k, (name, s) in enumerate(scenes(own, size, 2 * half).items())}
+    for other in SETS:
+        if other != own:
+            found |= {f"1{other}{name}": s for name, s in scenes(other, size, half).items()}
+    return found
+
+
+def groups(half: int) -> list[Split]:
+    """The fitted scenes beside those held out, then beside each half of fresh ones."""
+    fit = tuple(range(0, 2 * half, 2))
+    fresh = [tuple(range(start, start + half)) for start in (2 * half, 3 * half)]
+    return [Split(fit, held) for held in (tuple(range(1, 2 * half, 2)), *fresh)]
+
+
+def raw_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
+    splits = groups(half)
+    case = raw_case(loaded, None, (), splits[0], quiet)
+    for split in splits:
+        yield dataclasses.replace(case, split=split)
+
+
+def noisy_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
+    """All with the model of the first: the noise is fitted to the same pairs."""
+    splits = groups(half)
+    pairs = clean_pairs(loaded)
+    camera, mean = fit_mean(loaded[0].jpeg, pairs, splits[0].fit, None)
+    effects, model = prepare.candidates(CLEAN_NOISY, ()), None
+    for split in splits:
+        part = mean.take([*split.fit, *split.held_out])
+        own = Split(tuple(range(half)), tuple(range(half, 2 * half)))
+        case = plain_case(camera, part, own, effects, 0, quiet)
+        model = model or case.problem.model
+        case.problem.model = model
+        case.problem.move_to(np.zeros(len(model.coordinates)))
+        yield case
+
+
+def drop(case: Case, trial: Any) -> tuple[float, float]:
+    """By how much the trial's point lowers the gap of the case's held-out pairs, and that gap."""
+    problem, held = case.problem, list(case.split.held_out)
+    scale, model = gap_at(case).scale, case.problem.model
+    before = np.nanmean(problem.units(problem.z)[held])
+    if trial.choice is not None:
+        choice = trial.choice
+        problem.model = model.chosen(choice)
+        before = min(before, np.nanmean(problem.units(problem.z)[held]))
+    after = np.nanmean(problem.units(trial.z)[held])
+    problem.model = model
+    return float(before - after), scale
+
+
+def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[str, Any]:
+    size, half = _HALF[kind]
+    record = {"kind": kind, "split": split, "body": body, "effect": name, "strength": strength}
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder), body, {name: strength}, kind, pictures(OWN[split], size, half))
+        loaded = [pair.load() for pair in open_dataset(folder).pairs]
+        own, *fresh = list((raw_cases if kind == PAIRED else noisy_cases)(loaded, half))
+        start, model = own.problem.z.copy(), own.problem.model
+        found = searched(own, gap_at(own), quiet)
+        named = [trial.effect for trial, _ in found.causes]
+        record |= {"named": named, "right": named[:1] == [name]}
+        if named[:1] != [name] or name not in found.trials:
+            return record
+        trial = found.trials[name]
+        own.problem.model = model
+        own.problem.move_to(start)
+        drops, scales = zip(*(drop(case, trial) for case in fresh))
+    closed = sum(drops) / sum(scales)
+    ci = [trial.low, trial.high]
+    return record | {"closed": trial.closed, "ci": ci, "fresh": closed, "inside": ci[0] <= closed <= ci[1]}
+
+
+def page(found: dict[str, Any]) -> str:
+    lines = ["# Intervals on fresh scenes", "", __doc__.split("\n\n")[2], ""]
+    for kind in KINDS:
+        own = [r for r in found.values() if r["kind"] == kind]
+        seen = [r for r in own if r["right"]]
+        if not seen:
+            continue
+        inside = sum(r["inside"] for r in seen)
+        low, high = wilson(inside, len(seen))
+        lower = np.median([r["fresh"] - r["closed"] for r in seen])
+        lines += [
+            f"## {kind}",
+            "",
+            f"{len(own)} cases, the right effect first in {len(seen)}. The 90 % interval holds what is "
+            f"closed on fresh scenes in {inside} of these: {inside / len(seen):.0%} [{low:.0%}, {high:.0%}]. "
+            f"What is closed there less what is closed on those held out: {lower:+.2f} in the median.",
+            "",
+            table(
+                ["effect", "strength", "body", "closed [90 % interval]", "on fresh scenes"],
+                [
+                    [r["effect"], r["strength"], r["body"],
+                     f"{r['closed']:.2f} [{r['ci'][0]:.2f}, {r['ci'][1]:.2f}]",
+                     f"{r['fresh']:.2f}" + ("" if r["inside"] else " (outside)")]
+                    for r in seen
+                ],
+            ),
+        ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", choices=KINDS, required=True)
+    parser.add_argument("--split", choices=sorted(SPLITS), default="develop")
+    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted(BODIES))
+    parser.add_argument("--effects", nargs="+", choices=sorted(VOCABULARY), help="only these of the split")
+    parser.add_argument("--strength", type=int, default=4)
+    parser.add_argument("--out", type=Path, required=True)
+    a = parser.parse_args()
+    found: dict[str, Any] = json.loads(a.out.read_text()) if a.out.exists() else {}
+    without = (*ABSORBABLE, _RANDOM_IN_PIXELS) if a.kind == PAIRED else ABSORBABLE
+    for name in a.effects or [n for n in SPLITS[a.split] if shows_in(n, a.kind) and n not in without]:
+        for body in a.bodies:
+            key = f"{a.kind} {a.split} {body} {name}={a.strength}"
+            if key not in found:
+                found[key] = examine(a.kind, a.split, body, name, a.strength)
+                a.out.parent.mkdir(parents=True, exist_ok=True)
+                partial = a.out.with_suffix(".partial")
+                partial.write_text(json.dumps(found, indent=1))
+                partial.replace(a.out)
+                a.out.with_suffix(".md").write_text(page(found))
+                print(key, {k: found[key].get(k) for k in ("named", "closed", "ci", "fresh")}, flush=True)
+
+
+if __name__ == "__main__":
+    main()
