@@ -16,7 +16,7 @@ from jaxisp.gap.solve import fit
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import DEMOSAICKERS
+from jaxisp.stages.choice import DEMOSAICKERS, ChromaSubsampling
 from jaxisp.stages.jpeg import JpegTables
 
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
@@ -28,6 +28,9 @@ _ALIKE = 3.0
 """By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
 NOISE = ("shot", "read", "red_gain", "blue_gain")
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
+_FILE = "file_chroma"
+_STORED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
+"""Whether a file halves columns and rows of chroma."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
@@ -79,9 +82,15 @@ class Camera:
         return chain, chain.init() | balances(self.gains, self.late) | tables
 
     def mean_model(self, params: Params) -> Model:
-        """Without noise and file."""
+        """Without noise, and with no more of the file than its chroma sampling."""
         chain, own = self.chain()
-        still = chain.without("balanced_noise", chain.nodes[-1].name)
+        nodes = chain.without("balanced_noise", chain.nodes[-1].name).nodes
+        shares = _STORED.get(self.file.subsampling) if self.file else None
+        if shares:
+            nodes = (*nodes, Stage(stage("chroma_subsampling").fn, _FILE))
+            horizontal, vertical = map(np.float32, shares)
+            own[_FILE] = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
+        still = Chain(nodes, "plain")
         names = set(still.init())
         own |= {name: value for name, value in params.items() if name not in _BALANCES}
         own |= primaries(own["color_matrix"].matrix @ own["primaries"].matrix, self.share)
@@ -91,7 +100,7 @@ class Camera:
     def whole_model(self, mean: Model, effects: Sequence[Effect]) -> Model:
         """The noisy base with every effect in it, off; its mean is that of `mean`."""
         chain, params = self.chain()
-        shared = params | mean.shared
+        shared = params | {name: value for name, value in mean.shared.items() if name != _FILE}
         free = (*noise_freedom(shared), *narrowed(plain_freedom()))
         model = build(chain, shared, {}, free, effects, keep_file=True)
         return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]))
