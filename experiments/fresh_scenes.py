@@ -25,9 +25,9 @@ from jaxisp.gap import prepare
 from jaxisp.gap.diagnose import raw_case
 from jaxisp.gap.effects import CLEAN_NOISY
 from jaxisp.gap.measured import Case, Split
-from jaxisp.gap.noisy_base import fit_mean
 from jaxisp.gap.noisy_case import plain_case
 from jaxisp.gap.noisy_pairs import clean_pairs
+from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.verdict import gap_at, searched
 from jaxisp.io.datasets import Loaded, open_dataset
 

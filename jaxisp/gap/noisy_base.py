@@ -1,31 +1,20 @@
-"""Clean+noisy pairs: the base that is fitted, its mean by pixels and its noise by statistics."""
+"""Clean+noisy pairs: the plain camera that is their base, and what of it is free."""
 
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.effects import Effect, Move
 from jaxisp.gap.model import Coordinate, Model, build, plain_freedom
-from jaxisp.gap.noisy_prior import TYPICAL, plain_prior, typical_matrix
-from jaxisp.gap.residual import Pairs, Problem, to_steps
-from jaxisp.gap.solve import fit
+from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import DEMOSAICKERS, ChromaSubsampling
+from jaxisp.stages.choice import ChromaSubsampling
 from jaxisp.stages.jpeg import JpegTables
 
-_SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
-_SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
-_CHROMA = (0.0, 1.3)  # px
-_CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
-_SETTLED = 0.01
-_ALIKE = 3.0
-"""By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
 NOISE = ("shot", "read", "red_gain", "blue_gain")
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
@@ -141,187 +130,6 @@ def read_out(chain: Chain, after: str) -> Chain:
     nodes = [n for n in chain.nodes if n.name not in wanted]
     at = 1 + [n.name for n in nodes].index(after)
     return Chain((*nodes[:at], *moved, *nodes[at:]), chain.name)
-
-
-def fit_mean(
-    file: Jpeg | None, pairs: Pairs, fit_on: Sequence[int], cfa: str | None
-) -> tuple[Camera, Problem]:
-    """The noise-free base whose pictures are nearest to the noisy ones, pixel by pixel.
-
-    Returns:
-        the camera, its colour filter array found unless it is given, and the problem at the best point.
-    """
-    camera = Camera(file, cfa or "RGGB")
-    pairs = _scaled(pairs)
-    gains = _gains(pairs, fit_on)
-    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(typical_matrix(gains), -4, 4)))}
-    problem = Problem(camera.mean_model(start), pairs)
-    for steps in (5, 1, 1, 1, 1, 2):
-        _fit(problem, fit_on, gains, steps)
-        problem.pairs, change = _exposed(problem)
-        pairs = problem.pairs
-        problem.move_to(problem.z)
-        if change < _SETTLED and steps == 1:
-            break
-    _fit(problem, fit_on, gains, 2)
-    fitted = problem.model.moved(problem.z).shared
-    camera = _structured(camera, fitted, pairs, fit_on, cfa is None)
-    problem = Problem(camera.mean_model(fitted), pairs)
-    problem.weigh(problem.robust_weights())
-    _fit(problem, fit_on, gains, 4)
-    return camera, problem
-
-
-def _fit(problem: Problem, fit_on: Sequence[int], gains: np.ndarray, steps: int) -> None:
-    prior = plain_prior(problem, gains, fit_on)
-    fit(problem, problem.model.base_indices, fit_on, steps=steps, prior=prior)
-
-
-def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
-    """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
-    which = list(fit_on)
-    own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
-    return (_linear(pairs.pictures[which]) * own).sum((0, 1, 2)) / np.maximum(
-        (light * own).sum((0, 1, 2)), 1e-9
-    )
-
-
-def _linear(pictures: np.ndarray) -> np.ndarray:
-    pictures = np.clip(pictures, 0, 1).astype(np.float64)
-    return np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
-
-
-@dataclasses.dataclass(frozen=True)
-class _View:
-    """The pictures, and through what the model's own are looked at.
-
-    Attributes:
-        pairs: their light as soft as it is taken to be.
-        fit_on: those that count.
-        chroma: standard deviation [px] by which the model's chroma is smoothed.
-    """
-
-    pairs: Pairs
-    fit_on: Sequence[int]
-    chroma: float = 0.0
-
-    def error(self, camera: Camera, params: Params) -> float:
-        """Mean square over these pairs, all channels together."""
-        problem, which = Problem(camera.mean_model(params), self.pairs), list(self.fit_on)
-        if not self.chroma:
-            return float(problem.errors(problem.z)[which].mean())
-        current = problem.current[which]
-        smooth = gaussian_filter(current[..., 1:], (0, self.chroma, self.chroma, 0))
-        current = np.concatenate([current[..., :1], smooth], -1)
-        square = ((problem.target[which] - current) * problem.weight[which]) ** 2
-        return float((square.sum((1, 2, 3), dtype=np.float64) / problem.counts[which]).mean())
-
-
-def _structured(
-    camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
-) -> Camera:
-    """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft and
-    with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
-    what they do at edges, and the softest would stand in for it.
-    """
-    found = []
-    for chroma in _CHROMA:
-        for sigma in _SOFTNESS:
-            view = _View(_softened(pairs, sigma), fit_on, chroma)
-            own = _with_pattern(camera, params, view) if any_pattern else camera
-            own = _with_demosaicking(own, params, view)
-            found.append((view.error(own, params), chroma, sigma, own))
-    kept = found[0]
-    for smooth in _CHROMA:  # each lens must be worth it beside those before
-        best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])
-        kept = best if best[0] <= _CLEARLY_SOFT * kept[0] else kept
-    _, chroma, sigma, camera = kept
-    view = _View(_softened(pairs, sigma), fit_on, chroma)
-    choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
-    return _refined(_nearest(choices, params, view), params, view)
-
-
-def _softened(pairs: Pairs, sigma: float) -> Pairs:
-    light = gaussian_filter(np.asarray(pairs.light), (0, sigma, sigma, 0))
-    return dataclasses.replace(pairs, light=jnp.asarray(light, jnp.float32))
-
-
-def _refined(camera: Camera, params: Params, view: _View) -> Camera:
-    """Gains and share of the primaries nearer than the grids that they were chosen from."""
-    for step in (0.16, 0.08):
-        red, blue = camera.gains
-        gains = [(red * (1 + i * step), blue * (1 + j * step)) for i in (0, -1, 1) for j in (0, -1, 1)]
-        if camera.late:
-            choices = [dataclasses.replace(camera, gains=g) for g in gains]
-            camera = _nearest(choices, params, view)
-        choices = [dataclasses.replace(camera, share=camera.share + i * step) for i in (0, -1, 1)]
-        camera = _nearest(choices, params, view)
-    return camera
-
-
-def _scaled(pairs: Pairs) -> Pairs:
-    """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
-    may be of another exposure, tens of times as dark."""
-    light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
-    ratio = (_linear(pairs.pictures) * own).sum((1, 2, 3)) / np.maximum((light * own).sum((1, 2, 3)), 1e-9)
-    if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
-        ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
-    return dataclasses.replace(pairs, light=pairs.light * ratio.astype(np.float32)[:, None, None, None])
-
-
-def _exposed(problem: Problem) -> tuple[Pairs, float]:
-    """The pairs with each scene's light scaled to the exposure that its own picture shows, channel by channel
-    (white is balanced for each scene), and the largest change that this was."""
-    pairs, probe = problem.pairs, 1.05
-    columns = []
-    for gains in 1 + (probe - 1) * np.eye(3, dtype=np.float32):
-        brighter = to_steps(problem.model.render(problem.z, pairs.light * gains)[problem.inner])
-        columns.append((brighter - problem.current) * problem.weight / (probe - 1))
-    stacked = np.stack(columns, 1).reshape(len(pairs.names), 3, -1)
-    gram = np.einsum("nip,njp->nij", stacked, stacked, dtype=np.float64)
-    slope = np.einsum("nip,np->ni", stacked, problem.residual.reshape(len(stacked), -1), dtype=np.float64)
-    damping = 1e-3 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-9
-    gain = np.clip(1 + np.linalg.solve(gram + damping, slope[..., None])[..., 0], 0.5, 2)
-    gain = np.clip(gain / np.exp(np.log(gain).mean(0)), 0.5, 2).astype(np.float32)
-    moved = dataclasses.replace(pairs, light=pairs.light * gain[:, None, None, :])
-    return moved, float(np.abs(gain - 1).max())
-
-
-def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
-    """The Bayer pattern whose demosaicking errors the pictures have: RGGB on pictures that are moved."""
-    moves = [(0, 0), (0, 1), (1, 0), (1, 1)]
-    choices = [dataclasses.replace(camera, algorithm=name) for name in ("bilinear", "malvar")]
-    turned = [dataclasses.replace(view, pairs=_rolled(view.pairs, move)) for move in moves]
-    errors = [min(own.error(c, params) for c in choices) for own in turned]
-    down, across = moves[int(np.argmin(errors))]
-    pattern = ("RGGB"[(a + down) % 2 * 2 + (b + across) % 2] for a in (0, 1) for b in (0, 1))
-    return dataclasses.replace(camera, cfa="".join(pattern))
-
-
-def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
-    """The algorithm, and whether white is balanced before or after it, and then about by how much."""
-    choices = [
-        dataclasses.replace(camera, algorithm=name, late=late)
-        for name in DEMOSAICKERS
-        for late in (False, True)
-    ]
-    camera = _nearest(choices, params, view)
-    if not camera.late:
-        return camera
-    grid = [(red, blue) for red in (1.6, 2.0, 2.5) for blue in (1.3, 1.6, 2.0)]
-    return _nearest([dataclasses.replace(camera, gains=g) for g in grid], params, view)
-
-
-def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
-    """Moved so that another pattern's first photosite is where the model has a red one."""
-    turn = [np.roll(np.asarray(a), move, (1, 2)) for a in (pairs.light, pairs.pictures, pairs.mask)]
-    return Pairs(pairs.names, jnp.asarray(turn[0]), turn[1], turn[2])
-
-
-def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
-    """The first of those whose error is the least but for a hair."""
-    errors = np.array([view.error(c, params) for c in choices])
-    return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]
 
 
 def noise_freedom(params: Params) -> list[Coordinate]:

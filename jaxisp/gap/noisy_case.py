@@ -13,13 +13,14 @@ from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import CLEAN_NOISY, Effect
 from jaxisp.gap.measured import Case, Split
 from jaxisp.gap.model import Choice, Model
-from jaxisp.gap.noisy_base import Camera, fit_mean
+from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_camera import check_camera, of_camera
 from jaxisp.gap.noisy_codes import Codes, codes
 from jaxisp.gap.noisy_fit import fit_noise, rebased
 from jaxisp.gap.noisy_given import Given, of_recipe
 from jaxisp.gap.noisy_open import fit_open
 from jaxisp.gap.noisy_pairs import clean_pairs, split_of
+from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
 from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded
@@ -91,6 +92,8 @@ def clean_case(
         case = _given(given, pairs, seen, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
     reference = _toned(case.problem.pairs.light, None if believed else mean)
+    if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
+        stated.add("double_compression")
     offered = [name for name in case.offered if name not in stated]
     return dataclasses.replace(case, offered=offered, reference=reference)
 

@@ -13,8 +13,9 @@ from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose, noisy_case
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
-from jaxisp.gap.noisy_base import Camera, fit_mean, noise_freedom, primaries
+from jaxisp.gap.noisy_base import Camera, noise_freedom, primaries
 from jaxisp.gap.noisy_pairs import clean_pairs, framed, laid_under, split_of
+from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.prepare import candidates
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
@@ -136,6 +137,25 @@ def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
     camera, _ = fit_mean(None, pairs, (0, 2), None)
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
     np.testing.assert_allclose(camera.gains, (2.2, 1.4), atol=0.3)
+
+
+def test_without_a_header_the_grid_says_which_compression_it_was(tmp_path):
+    """On the picture's own grid it is the file's, elsewhere an earlier one."""
+    few = sorted(set(EFFECTS) - {"double_compression", "jpeg_quantization"})
+
+    def offered(folder):
+        loaded = [pair.load() for pair in open_dataset(folder).pairs]
+        case = noisy_case.clean_case(loaded, None, few, 0, lambda *a: None)
+        return sorted(case.offered), case.seen
+
+    whole, cropped = tmp_path / "whole", tmp_path / "cropped"
+    write(whole, "alder", {"jpeg_quantization": 4}, "clean+noisy", size=SIZE, count=2)
+    cropped.mkdir()
+    (cropped / "dataset.toml").write_bytes((whole / "dataset.toml").read_bytes())
+    for picture in whole.glob("*.png"):
+        Image.fromarray(np.asarray(Image.open(picture))[3:, 5:]).save(cropped / picture.name)
+    assert offered(whole) == (["jpeg_quantization"], ())
+    assert offered(cropped) == (["double_compression", "jpeg_quantization"], ("double_compression",))
 
 
 def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path):

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import noisy_base
-from jaxisp.gap.noisy_base import Camera, fit_mean
+from jaxisp.gap import noisy_pixels
+from jaxisp.gap.noisy_base import Camera
+from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.noisy_prior import TYPICAL, Prior, plain_prior, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.solve import fit
@@ -100,5 +101,5 @@ def test_colours_that_were_not_fitted_come_out_as_a_camera_has_them(monkeypatch)
 
     with_prior = far_off()
     nothing = Prior(np.zeros((1, 22)), np.zeros(1), 0.0)
-    monkeypatch.setattr(noisy_base, "plain_prior", lambda *a: nothing)
+    monkeypatch.setattr(noisy_pixels, "plain_prior", lambda *a: nothing)
     assert with_prior < 0.6 * far_off()

@@ -1,0 +1,123 @@
+"""Clean+noisy pairs: what sensor and what demosaicker are nearest to the noisy pictures."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.noisy_base import Camera
+from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.pipeline import Params
+from jaxisp.stages.choice import DEMOSAICKERS
+
+_SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
+_SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
+_CHROMA = (0.0, 1.3)  # px
+_CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
+
+
+@dataclasses.dataclass(frozen=True)
+class _View:
+    """The pictures, and through what the model's own are looked at.
+
+    Attributes:
+        pairs: their light as soft as it is taken to be.
+        fit_on: those that count.
+        chroma: standard deviation [px] by which the model's chroma is smoothed.
+    """
+
+    pairs: Pairs
+    fit_on: Sequence[int]
+    chroma: float = 0.0
+
+    def error(self, camera: Camera, params: Params) -> float:
+        """Mean square over these pairs, all channels together."""
+        problem, which = Problem(camera.mean_model(params), self.pairs), list(self.fit_on)
+        if not self.chroma:
+            return float(problem.errors(problem.z)[which].mean())
+        current = problem.current[which]
+        smooth = gaussian_filter(current[..., 1:], (0, self.chroma, self.chroma, 0))
+        current = np.concatenate([current[..., :1], smooth], -1)
+        square = ((problem.target[which] - current) * problem.weight[which]) ** 2
+        return float((square.sum((1, 2, 3), dtype=np.float64) / problem.counts[which]).mean())
+
+
+def find_sensor(
+    camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
+) -> Camera:
+    """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft and
+    with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
+    what they do at edges, and the softest would stand in for it.
+    """
+    found = []
+    for chroma in _CHROMA:
+        for sigma in _SOFTNESS:
+            view = _View(_softened(pairs, sigma), fit_on, chroma)
+            own = _with_pattern(camera, params, view) if any_pattern else camera
+            own = _with_demosaicking(own, params, view)
+            found.append((view.error(own, params), chroma, sigma, own))
+    kept = found[0]
+    for smooth in _CHROMA:  # each lens must be worth it beside those before
+        best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])
+        kept = best if best[0] <= _CLEARLY_SOFT * kept[0] else kept
+    _, chroma, sigma, camera = kept
+    view = _View(_softened(pairs, sigma), fit_on, chroma)
+    choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
+    return _refined(_nearest(choices, params, view), params, view)
+
+
+def _softened(pairs: Pairs, sigma: float) -> Pairs:
+    light = gaussian_filter(np.asarray(pairs.light), (0, sigma, sigma, 0))
+    return dataclasses.replace(pairs, light=jnp.asarray(light, jnp.float32))
+
+
+def _refined(camera: Camera, params: Params, view: _View) -> Camera:
+    """Gains and share of the primaries nearer than the grids that they were chosen from."""
+    for step in (0.16, 0.08):
+        red, blue = camera.gains
+        gains = [(red * (1 + i * step), blue * (1 + j * step)) for i in (0, -1, 1) for j in (0, -1, 1)]
+        if camera.late:
+            choices = [dataclasses.replace(camera, gains=g) for g in gains]
+            camera = _nearest(choices, params, view)
+        choices = [dataclasses.replace(camera, share=camera.share + i * step) for i in (0, -1, 1)]
+        camera = _nearest(choices, params, view)
+    return camera
+
+
+def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
+    """The Bayer pattern whose demosaicking errors the pictures have: RGGB on pictures that are moved."""
+    moves = [(0, 0), (0, 1), (1, 0), (1, 1)]
+    choices = [dataclasses.replace(camera, algorithm=name) for name in ("bilinear", "malvar")]
+    turned = [dataclasses.replace(view, pairs=_rolled(view.pairs, move)) for move in moves]
+    errors = [min(own.error(c, params) for c in choices) for own in turned]
+    down, across = moves[int(np.argmin(errors))]
+    pattern = ("RGGB"[(a + down) % 2 * 2 + (b + across) % 2] for a in (0, 1) for b in (0, 1))
+    return dataclasses.replace(camera, cfa="".join(pattern))
+
+
+def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
+    """The algorithm, and whether white is balanced before or after it, and then about by how much."""
+    choices = [
+        dataclasses.replace(camera, algorithm=name, late=late)
+        for name in DEMOSAICKERS
+        for late in (False, True)
+    ]
+    camera = _nearest(choices, params, view)
+    if not camera.late:
+        return camera
+    grid = [(red, blue) for red in (1.6, 2.0, 2.5) for blue in (1.3, 1.6, 2.0)]
+    return _nearest([dataclasses.replace(camera, gains=g) for g in grid], params, view)
+
+
+def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
+    """Moved so that another pattern's first photosite is where the model has a red one."""
+    turn = [np.roll(np.asarray(a), move, (1, 2)) for a in (pairs.light, pairs.pictures, pairs.mask)]
+    return Pairs(pairs.names, jnp.asarray(turn[0]), turn[1], turn[2])
+
+
+def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
+    """The first of those whose error is the least but for a hair."""
+    errors = np.array([view.error(c, params) for c in choices])
+    return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]
