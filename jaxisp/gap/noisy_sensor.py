@@ -23,25 +23,22 @@ class _View:
     """The pictures, and through what the model's own are looked at.
 
     Attributes:
-        pairs: their light as soft as it is taken to be.
-        fit_on: those that count.
+        pairs: those that are fitted, their light as soft as it is taken to be.
         chroma: standard deviation [px] by which the model's chroma is smoothed.
     """
 
     pairs: Pairs
-    fit_on: Sequence[int]
     chroma: float = 0.0
 
     def error(self, camera: Camera, params: Params) -> float:
-        """Mean square over these pairs, all channels together."""
-        problem, which = Problem(camera.mean_model(params), self.pairs), list(self.fit_on)
-        if not self.chroma:
-            return float(problem.errors(problem.z)[which].mean())
-        current = problem.current[which]
-        smooth = gaussian_filter(current[..., 1:], (0, self.chroma, self.chroma, 0))
-        current = np.concatenate([current[..., :1], smooth], -1)
-        square = ((problem.target[which] - current) * problem.weight[which]) ** 2
-        return float((square.sum((1, 2, 3), dtype=np.float64) / problem.counts[which]).mean())
+        """Mean square, all channels together."""
+        problem = Problem(camera.mean_model(params), self.pairs)
+        residual = problem.residual
+        if self.chroma:
+            smooth = gaussian_filter(problem.current[..., 1:], (0, self.chroma, self.chroma, 0))
+            current = np.concatenate([problem.current[..., :1], smooth], -1)
+            residual = (problem.target - current) * problem.weight
+        return float(problem.mean_squares(residual).mean())
 
 
 def find_sensor(
@@ -51,10 +48,10 @@ def find_sensor(
     with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
     what they do at edges, and the softest would stand in for it.
     """
-    found = []
+    found, pairs = [], pairs.take(fit_on)
     for chroma in _CHROMA:
         for sigma in _SOFTNESS:
-            view = _View(_softened(pairs, sigma), fit_on, chroma)
+            view = _View(_softened(pairs, sigma), chroma)
             own = _with_pattern(camera, params, view) if any_pattern else camera
             own = _with_demosaicking(own, params, view)
             found.append((view.error(own, params), chroma, sigma, own))
@@ -63,7 +60,7 @@ def find_sensor(
         best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])
         kept = best if best[0] <= _CLEARLY_SOFT * kept[0] else kept
     _, chroma, sigma, camera = kept
-    view = _View(_softened(pairs, sigma), fit_on, chroma)
+    view = _View(_softened(pairs, sigma), chroma)
     choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
     return _refined(_nearest(choices, params, view), params, view)
 

@@ -15,7 +15,7 @@ MOST_CAUSES = 3
 NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
 and its order of steps are not quite the base's. As 47 and 24 nulls have it, see docs/diagnosis.md."""
-NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.5}
+NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.7}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
 APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 """By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
