@@ -107,13 +107,15 @@ def register_effect(effect: Effect) -> Effect:
     """Add an effect to those that `diagnose` tries.
 
     Raises:
-        ValueError: the name is taken, or site or an axis is unknown.
+        ValueError: the name is taken, site or an axis is unknown, or a strong form is not of all moves.
     """
     if effect.name in EFFECTS:
         raise ValueError(f"an effect named {effect.name!r} is registered already")
     unknown = set(effect.axes) - set(AXES)
     if effect.site not in SITES or unknown:
         raise ValueError(f"effect {effect.name}: unknown site {effect.site!r} or axes {sorted(unknown)}")
+    if any(len(form) != len(effect.moves) for form in effect.strong):
+        raise ValueError(f"effect {effect.name}: a strong form has a change for each of its moves")
     EFFECTS[effect.name] = effect
     return effect
 

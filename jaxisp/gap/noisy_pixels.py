@@ -57,9 +57,8 @@ def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
     """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
     which = list(fit_on)
     own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
-    return (_linear(pairs.pictures[which]) * own).sum((0, 1, 2)) / np.maximum(
-        (light * own).sum((0, 1, 2)), 1e-9
-    )
+    seen = (_linear(pairs.pictures[which]) * own).sum((0, 1, 2))
+    return np.asarray(np.clip(seen / np.maximum((light * own).sum((0, 1, 2)), 1e-9), 0.05, 20))
 
 
 def _linear(pictures: np.ndarray) -> np.ndarray:

@@ -106,6 +106,10 @@ def test_a_user_adds_an_effect_of_their_own():
         del EFFECTS["warm_shadows"]
     with pytest.raises(ValueError, match="unknown site"):
         register_effect(Effect("x", stage("clip"), "nowhere", (), ()))
+    with pytest.raises(ValueError, match="strong form"):
+        register_effect(
+            Effect("x", stage("clip"), "output", (Move("white", 0.1, 0, 1),), (), strong=((1, 1),))
+        )
 
 
 def test_noise_effects_repeat_for_a_key():

@@ -43,6 +43,8 @@ def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
     forms = starts(model, z, smoothing)
     assert {tuple(p[smoothing]) for p in forms} >= {(0, 0, 0, 0), (1, 1, 0, 1)}
     assert max((SHOT + p[shot]) / SHOT for p in forms) > 10  # the base imitates it by less noise
+    some = starts(model, z, smoothing[1:])  # a simulator leaves the first open
+    assert {tuple(p[smoothing]) for p in some} >= {(0, 0, 0, 0), (0, 1, 0, 1)}
     moved = [*own, *noise_indices(model)]
     for p in found:
         assert (p[moved] >= model.ranges[0, moved] - 1e-9).all()
