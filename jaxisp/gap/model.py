@@ -20,6 +20,8 @@ from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import ChromaSubsampling
 
 KNOTS = 12
+HALVED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
+"""Whether a file halves columns and rows of chroma."""
 _FILE_STAGES = ("rounding", "jpeg", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
 
 
@@ -241,7 +243,7 @@ def plain_camera(cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4"
         stage("srgb_oetf"),
         Stage(stage("spline_curve").fn, "tone_curve"),
     ]
-    shares = {"4:2:0": (1, 1), "4:2:2": (1, 0)}.get(subsampling)
+    shares = HALVED.get(subsampling)
     if shares:
         nodes.append(stage("chroma_subsampling"))
     chain = Chain(tuple(nodes), "plain")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.effects import Effect, Move
-from jaxisp.gap.model import Coordinate, Model, build, plain_freedom
+from jaxisp.gap.model import HALVED, Coordinate, Model, build, plain_freedom
 from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
@@ -18,8 +18,6 @@ from jaxisp.stages.jpeg import JpegTables
 NOISE = ("shot", "read", "red_gain", "blue_gain")
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
-_STORED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
-"""Whether a file halves columns and rows of chroma."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
@@ -74,7 +72,7 @@ class Camera:
         """Without noise, and with no more of the file than its chroma sampling."""
         chain, own = self.chain()
         nodes = chain.without("balanced_noise", chain.nodes[-1].name).nodes
-        shares = _STORED.get(self.file.subsampling) if self.file else None
+        shares = HALVED.get(self.file.subsampling) if self.file else None
         if shares:
             nodes = (*nodes, Stage(stage("chroma_subsampling").fn, _FILE))
             horizontal, vertical = map(np.float32, shares)

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from jaxisp.fit.align import Alignment, estimate, same_scene, warp
 from jaxisp.gap import prepare
 from jaxisp.gap.measured import Split
-from jaxisp.gap.residual import BORDER, Pairs
+from jaxisp.gap.residual import BORDER, Pairs, linear_light
 from jaxisp.io.datasets import Loaded
 
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
@@ -107,4 +107,4 @@ def _linear(pair: Loaded) -> np.ndarray:
     clean = np.asarray(pair.clean, np.float32)
     if pair.settings.clean_encoding == "linear":
         return clean
-    return np.where(clean <= 0.04045, clean / 12.92, ((clean + 0.055) / 1.055) ** 2.4)
+    return linear_light(clean)

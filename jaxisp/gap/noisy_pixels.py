@@ -8,7 +8,7 @@ import numpy as np
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_prior import plain_prior, typical_matrix
 from jaxisp.gap.noisy_sensor import find_sensor
-from jaxisp.gap.residual import Pairs, Problem, to_steps
+from jaxisp.gap.residual import Pairs, Problem, linear_light, to_steps
 from jaxisp.gap.solve import fit
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params
@@ -57,20 +57,17 @@ def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
     """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
     which = list(fit_on)
     own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
-    seen = (_linear(pairs.pictures[which]) * own).sum((0, 1, 2))
+    seen = (linear_light(pairs.pictures[which].astype(np.float64)) * own).sum((0, 1, 2))
     return np.asarray(np.clip(seen / np.maximum((light * own).sum((0, 1, 2)), 1e-9), 0.05, 20))
-
-
-def _linear(pictures: np.ndarray) -> np.ndarray:
-    pictures = np.clip(pictures, 0, 1).astype(np.float64)
-    return np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
 
 
 def _scaled(pairs: Pairs) -> Pairs:
     """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
     may be of another exposure, tens of times as dark."""
     light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
-    ratio = (_linear(pairs.pictures) * own).sum((1, 2, 3)) / np.maximum((light * own).sum((1, 2, 3)), 1e-9)
+    ratio = (linear_light(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
+        (light * own).sum((1, 2, 3)), 1e-9
+    )
     if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
         ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
     return dataclasses.replace(pairs, light=pairs.light * ratio.astype(np.float32)[:, None, None, None])

@@ -186,6 +186,11 @@ def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.A
     return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)
 
 
+def linear_light(encoded: np.ndarray) -> np.ndarray:
+    """Encoded sRGB, not below 0, in linear light."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
 def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
     """(3, 3) colour matrix by least squares in linear light over means of blocks.
 
@@ -194,7 +199,7 @@ def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, bloc
         pictures: (N, H, W, 3) encoded.
         mask: (N, H, W).
     """
-    linear = np.where(pictures <= 0.04045, pictures / 12.92, ((pictures + 0.055) / 1.055) ** 2.4)
+    linear = linear_light(pictures)
 
     def means(a: np.ndarray) -> np.ndarray:
         n, h, w, c = a.shape
