@@ -107,7 +107,7 @@ def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[
         found = searched(own, gap_at(own), quiet)
         named = [trial.effect for trial, _ in found.causes]
         record |= {"named": named, "right": named[:1] == [name]}
-        if named[:1] != [name] or name not in found.trials:
+        if named[:1] != [name] or name not in found.trials:  # the latter: found beside another
             return record
         trial = found.trials[name]
         own.problem.model = model
@@ -122,18 +122,19 @@ def page(found: dict[str, Any]) -> str:
     lines = ["# Intervals on fresh scenes", "", __doc__.split("\n\n")[2], ""]
     for kind in KINDS:
         own = [r for r in found.values() if r["kind"] == kind]
-        seen = [r for r in own if r["right"]]
+        seen = [r for r in own if "fresh" in r]
         if not seen:
             continue
-        inside = sum(r["inside"] for r in seen)
+        right, inside = (sum(r.get(key, False) for r in own) for key in ("right", "inside"))
         low, high = wilson(inside, len(seen))
         lower = np.median([r["fresh"] - r["closed"] for r in seen])
         lines += [
             f"## {kind}",
             "",
-            f"{len(own)} cases, the right effect first in {len(seen)}. The 90 % interval holds what is "
-            f"closed on fresh scenes in {inside} of these: {inside / len(seen):.0%} [{low:.0%}, {high:.0%}]. "
-            f"What is closed there less what is closed on those held out: {lower:+.2f} in the median.",
+            f"{len(own)} cases, the right effect first in {right}. The 90 % interval holds what is closed on "
+            f"fresh scenes in {inside} of the {len(seen)} found at once: {inside / len(seen):.0%} "
+            f"[{low:.0%}, {high:.0%}]. What is closed there less what is closed on those held out: "
+            f"{lower:+.2f} in the median.",
             "",
             table(
                 ["effect", "strength", "body", "closed [90 % interval]", "on fresh scenes"],

@@ -50,11 +50,11 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
             value = float(np.clip(z[first] + times * coordinates[0].move.step, *model.ranges[:, first]))
             point = placed(model, z, first, value)
             found += [point, *(_with_noise(model, point, share) for share in _LESS)]
-    order = [(m.field, m.index) for m in effect.moves]
-    places = [order.index((c.move.field, c.move.index)) for c in coordinates]  # a simulator has some open
     for form in effect.strong:
-        point = z.copy()
-        point[own] = np.clip(np.array(form)[places], *model.ranges[:, own])
+        change = {(m.field, m.index): value for m, value in zip(effect.moves, form)}
+        point = z.copy()  # a simulator may have some of the moves open
+        values = [change[c.move.field, c.move.index] for c in coordinates]
+        point[own] = np.clip(values, *model.ranges[:, own])
         found += [_with_noise(model, point, share) for share in _MORE]
     return found if len(found) > 1 else []
 

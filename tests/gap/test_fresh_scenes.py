@@ -51,8 +51,9 @@ def test_the_page_counts_what_is_inside():
     found = {
         "a": record | {"fresh": 0.75, "inside": True},
         "b": record | {"fresh": 0.6, "inside": False},
-        "c": record | {"right": False},
+        "c": {k: v for k, v in record.items() if k not in ("closed", "ci")},  # found beside another
+        "d": record | {"right": False},
     }
     text = page(found)
-    assert "3 cases, the right effect first in 2." in text and "in 1 of these: 50%" in text
+    assert "4 cases, the right effect first in 3." in text and "in 1 of the 2 found at once: 50%" in text
     assert text.count("(outside)") == 1
