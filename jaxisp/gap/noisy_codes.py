@@ -80,6 +80,18 @@ def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dic
     }
 
 
+def cosine(turns: jax.Array) -> jax.Array:
+    """The cosine of an angle in turns, to 1e-6 within a few hundred: the compiler's own takes longer than
+    all other statistics together."""
+    x = jnp.pi * (turns - jnp.round(turns))
+    square = x * x
+    sine = jnp.full_like(x, -1 / 39916800)
+    for term in (1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1.0):
+        sine = sine * square + term
+    sine = sine * x
+    return 1 - 2 * sine * sine
+
+
 def _spectrum(read: jax.Array, weights: jax.Array) -> jax.Array:
     """(K, S) of what the sensor read, by each of the weights (S, h, w)."""
     steps = [jnp.roll(read, -2, axis) - read for axis in (0, 1)]
@@ -87,7 +99,7 @@ def _spectrum(read: jax.Array, weights: jax.Array) -> jax.Array:
     count = sum(b.sum((1, 2)) for b in both) + 1e-3
 
     def one(frequency: Any) -> jax.Array:
-        waves = [jnp.cos(2 * jnp.pi * frequency * step) for step in steps]
+        waves = [cosine(frequency * step) for step in steps]
         return sum(((b * wave).sum((1, 2)) for b, wave in zip(both, waves)), jnp.zeros(len(weights))) / count
 
     return jnp.asarray(jax.lax.map(one, jnp.asarray(FREQUENCIES)))

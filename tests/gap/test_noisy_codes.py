@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.gap.noisy_codes import FREQUENCIES, codes, comb_part
+from jaxisp.gap.noisy_codes import FREQUENCIES, codes, comb_part, cosine
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.look import SplineCurve
 from jaxisp.stages.sensor import LevelSteps, level_steps
@@ -53,3 +53,9 @@ def test_levels_are_apart_by_the_step_and_none_is_no_rounding():
     np.testing.assert_array_equal(level_steps(LevelSteps(step=jnp.float32(0)), image), image)
     found = np.asarray(level_steps(LevelSteps(step=jnp.float32(0.07)), image)) / 0.07
     np.testing.assert_allclose(found, np.rint(np.asarray(image) / 0.07), atol=1e-4)
+
+
+def test_the_cosine_is_one():
+    turns = np.random.default_rng(1).uniform(-300, 300, 10_000).astype(np.float32)
+    turns = np.concatenate([turns, np.arange(-8, 8, dtype=np.float32) / 4])
+    np.testing.assert_allclose(cosine(jnp.asarray(turns)), np.cos(2 * np.pi * turns.astype(float)), atol=1e-6)
