@@ -17,18 +17,19 @@ class HotPixels:
     """How many, and what they read."""
 
     density: Leaf = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
-    level: Leaf = param(1.0, (0.1, 2.0), "level", doc="what a hot photosite reads")
+    level: Leaf = param(1.0, (0.1, 2.0), "level", doc="what the hottest photosite reads")
+    spread: Leaf = param(0.0, (0.0, 1.0), "1", doc="share of it that the others may read less")
 
 
 @register
 def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int | None = None) -> Mosaic:
-    """Set photosites at random places to a high level.
+    """Set photosites at random places to a high level, each to its own.
 
-    `y = level where u < density else x`, u uniform on [0, 1) per photosite: more density keeps the
-    places that are hot already.
+    `y = level (1 - spread v) where u < density else x`, u and v uniform on [0, 1) per photosite: more
+    density keeps the places that are hot already.
 
     Args:
-        params: density and level.
+        params: density, level and spread.
         image: (H, W) linear light, any range.
         key: draws the places.
         sensor: a serial number that fixes the places whatever the key; None draws them from the key.
@@ -36,12 +37,14 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
     Returns:
         (H, W) linear light.
 
-    Gradient: surrogate for the density (that of the expected image, `level - x` at every photosite);
-    exact to the level and the image.
+    Gradient: surrogate for the density (that of the expected image, `y - x` at every photosite); exact to
+    the level, the spread and the image.
 
     Source: Jaroensri et al. 2019, section 3 (defects).
     """
-    return _stuck(image, pattern_key(key, sensor, "hot_pixels"), params.density, params.level)
+    key = pattern_key(key, sensor, "hot_pixels")
+    own = jax.random.uniform(jax.random.fold_in(key, 1), image.shape)
+    return _stuck(image, key, params.density, params.level * (1 - params.spread * own))
 
 
 @parameters

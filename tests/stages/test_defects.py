@@ -1,10 +1,13 @@
 """Defects against counts and closed forms, their correction against SciPy's median by phase."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.ndimage
+import scipy.stats
 
 from jaxisp.cfa import PATTERNS
 from jaxisp.stages import defects, sensor
@@ -40,6 +43,17 @@ def test_density_level_and_identity(fn, cls, level):
     assert (many | ~few).all(), "more density keeps the places"
     assert (few != (np.asarray(run(np.float32(0.01), jax.random.key(2))) != 0.5)).any()
     np.testing.assert_array_equal(run(np.float32(0), jax.random.key(1)), image)
+
+
+def test_levels_of_hot_photosites_spread_evenly():
+    image = np.zeros((256, 257), np.float32)
+    params = defects.HotPixels(density=np.float32(0.1), level=np.float32(0.8), spread=np.float32(0.5))
+    got = np.asarray(defects.hot_pixels(params, image, key=jax.random.key(3)))
+    levels = got[got > 0]
+    assert scipy.stats.kstest(levels, scipy.stats.uniform(0.4, 0.4).cdf).pvalue > 0.01
+    one = dataclasses.replace(params, spread=np.float32(0))
+    same = np.asarray(defects.hot_pixels(one, image, key=jax.random.key(3)))
+    assert ((same > 0) == (got > 0)).all() and set(np.unique(same)) == {0, np.float32(0.8)}
 
 
 @pytest.mark.parametrize("fn, cls, level", KINDS)
