@@ -96,6 +96,26 @@ def broadcast_with_s(x: np.ndarray) -> np.ndarray:
     return y + 0.05 * np.sin(np.pi * y) ** 2
 
 
+def power_from_an_offset(x: np.ndarray) -> np.ndarray:
+    """A steep but finite slope at black."""
+
+    def raised(v: np.ndarray | float) -> np.ndarray | float:
+        return np.power(v, 1 / 2.4)
+
+    black = raised(0.015)
+    return (raised(np.clip(x, 0, 1) + 0.015) - black) / (raised(1.015) - black)
+
+
+def half_logarithmic(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0, 1)
+    return 0.5 * np.log1p(60 * x) / np.log1p(60.0) + 0.5 * srgb_encode(x)
+
+
+def srgb_with_contrast(x: np.ndarray) -> np.ndarray:
+    y = srgb_encode(np.clip(x, 0, 1))
+    return y - 0.04 * np.sin(2 * np.pi * y)
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -134,5 +154,25 @@ BODIES = {
             broadcast_with_s, "hamilton-adams", "malvar", 96, order="balance-last", exposure=0.85,
             luma_share=0.04, sign=-1, bright=Noise(15000.0, 5.0), dim=Noise(1800.0, 12.0),
         ),
+        Body(
+            "fir", "GRBG", 12, 240.0, (2.1, 1.0, 1.5),
+            _matrix((1.45, -0.3, -0.15), (-0.25, 1.5, -0.25), (0.0, -0.5, 1.5)),
+            power_from_an_offset, "malvar", "hamilton-adams", 91, sampling="4:2:0", encoder="opencv",
+            order="balance-last", exposure=0.95, spot=0.6, dim=Noise(1000.0, 7.0),
+        ),
+        Body(
+            "ginkgo", "BGGR", 14, 1024.0, (1.6, 1.0, 2.2),
+            _matrix((1.6, -0.45, -0.15), (-0.2, 1.35, -0.15), (-0.05, -0.4, 1.45)),
+            half_logarithmic, "hamilton-adams", "bilinear", 97, border="cells", exposure=0.85,
+            luma_share=0.03, bright=Noise(18000.0, 3.5), dim=Noise(2500.0, 9.0),
+        ),
+        Body(
+            "hazel", "GBRG", 10, 60.0, (2.3, 1.0, 1.5),
+            _matrix((1.65, -0.55, -0.1), (-0.2, 1.45, -0.25), (0.03, -0.48, 1.45)),
+            srgb_with_contrast, "bilinear", "malvar", 93, sampling="4:2:2", border="own", sign=-1,
+            intermediate_bits=12, spot=0.5, bright=Noise(10000.0, 4.0), dim=Noise(1600.0, 9.0),
+        ),
     )
 }  # fmt: skip
+LATER = ("fir", "ginkgo", "hazel")
+"""Bodies that came last: nothing was changed for what the diagnosis says of them."""

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from . import libraw, shoot
-from .bodies import BODIES
+from .bodies import BODIES, LATER
 from .effects import DEVELOP, KINDS, LEVELS, NULLS, OUTSIDE, PAIRED, PAIRS, SEALED, VOCABULARY, shows_in
 from .scenes import SETS
 
@@ -185,7 +185,7 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--split", nargs="+", choices=SCENES, required=True)
-    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted(BODIES))
+    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted({*BODIES} - {*LATER}))
     parser.add_argument("--strengths", nargs="+", type=int, choices=LEVELS, default=LEVELS)
     parser.add_argument("--scenes", choices=SETS, default="", help="instead of the split's own set")
     parser.add_argument("--size", type=int, default=256)
