@@ -4,6 +4,7 @@ An `Effect` says which stage makes it, where in the pipeline that stage goes, an
 its parameters may move. Users add their own with `register_effect`.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +44,7 @@ class Move:
         far: changes from which a fit may start as well, one move after the other; the probe is one of them
             where that lowers the error. Where edges have moved by more than their width, a small probe sees
             nothing of a warp.
+        spread: the standard deviation of what is believed of the change beforehand.
     """
 
     field: str
@@ -55,6 +57,7 @@ class Move:
     fine: float = 0.0
     both_sides: bool = False
     far: tuple[float, ...] = ()
+    spread: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,11 @@ class Model:
         return np.array([[c.move.low for c in self.coordinates], [c.move.high for c in self.coordinates]])
 
     @functools.cached_property
+    def precisions(self) -> np.ndarray:
+        """(Z,) what is believed of the moves beforehand: one over the square of their spread."""
+        return np.array([c.move.spread**-2 for c in self.coordinates])
+
+    @functools.cached_property
     def steps(self) -> np.ndarray:
         """(Z,) the probes."""
         return np.array([c.move.step for c in self.coordinates])

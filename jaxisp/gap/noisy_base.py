@@ -110,7 +110,8 @@ def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
     found = []
     for c in free:
         reach = _REACH[c.move.field]
-        found.append(dataclasses.replace(c, move=dataclasses.replace(c.move, low=-reach, high=reach)))
+        move = dataclasses.replace(c.move, low=-reach, high=reach, spread=reach / 3)
+        found.append(dataclasses.replace(c, move=move))
     return found
 
 

@@ -1,11 +1,13 @@
 """Bounded Gauss-Newton on normal equations that were computed by secants."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 _RIDGE = 1e-3
+_MODEST = 0.01
+"""By what share of the error a move by its own spread (`Move.spread`) must lower it to be worth it."""
 
 
 def solve(gram: np.ndarray, slope: np.ndarray, z: np.ndarray, ranges: np.ndarray) -> np.ndarray:
@@ -51,6 +53,9 @@ def fit(
 ) -> float:
     """Gauss-Newton over some coordinates on some scenes, in place.
 
+    What is minimised is the mean square error, times one and a hundredth for each spread squared by which a
+    move is off, and what a prior adds.
+
     Args:
         which: the coordinates that move.
         scenes: the pairs that are looked at.
@@ -62,32 +67,55 @@ def fit(
         the mean square residual over these scenes, and what the prior adds to it.
     """
     which, scenes = list(which), list(scenes)
-    error = _objective(problem, problem.z, which, scenes, prior)
+    at = _measured(problem, problem.z, which, scenes, prior)
     kept = {} if fresh is None else {i: problem.columns[i] for i in which if i not in set(fresh)}
     for _ in range(steps):
         problem.columns.update(kept)
         problem.compute(which)
         gram, slope = (part[scenes].sum(0) for part in problem.normal(which))
-        if prior is not None:
-            own_gram, own_slope = prior.normal(problem.z[which])
+        beliefs = [modest(problem, which, at.error)]
+        beliefs += [] if prior is None else [prior.normal(problem.z[which])]
+        for own_gram, own_slope in beliefs:
             gram, slope = gram + len(scenes) * own_gram, slope + len(scenes) * own_slope
         move = solve(gram, slope, problem.z[which], problem.model.ranges[:, which])
-        better = _line_search(problem, which, move, scenes, error, prior)
+        better = _line_search(problem, which, move, scenes, at, prior)
         if better is None:
             break
-        z, lower = better
-        gained, error = error - lower, lower
-        problem.move_to(z)
-        if gained < 2e-3 * error:
+        gained, at = at.total - better.total, better
+        problem.move_to(at.z)
+        if gained < 2e-3 * at.total:
             break
-    return float(error)
+    return at.total
 
 
-def _objective(
+def modest(problem: Any, which: Sequence[int], error: float) -> tuple[np.ndarray, np.ndarray]:
+    """(K, K) and (K,) that keep moves near to where they began, in proportion to the mean square error: what
+    a model leaves says how far its figures may be off."""
+    precisions = _MODEST * problem.model.precisions[list(which)]
+    weights = error / _excess(problem, problem.z, which) * precisions
+    return np.diag(weights), -weights * problem.z[list(which)]
+
+
+def _excess(problem: Any, z: np.ndarray, which: Sequence[int]) -> float:
+    """What the error is multiplied by for moves that are off."""
+    which = list(which)
+    return 1 + _MODEST * float((problem.model.precisions[which] * z[which] ** 2).sum())
+
+
+class _Point(NamedTuple):
+    """Where, the mean square error there, and what is minimised."""
+
+    z: np.ndarray
+    error: float
+    total: float
+
+
+def _measured(
     problem: Any, z: np.ndarray, which: Sequence[int], scenes: Sequence[int], prior: Belief | None
-) -> float:
+) -> _Point:
     error = float(problem.errors(z)[scenes].mean())
-    return error if prior is None else error + prior.penalty(z[which])
+    believed = 0.0 if prior is None else prior.penalty(z[which])
+    return _Point(z, error, error * _excess(problem, z, which) + believed)
 
 
 def _line_search(
@@ -95,13 +123,13 @@ def _line_search(
     which: Sequence[int],
     move: np.ndarray,
     scenes: Sequence[int],
-    error: float,
+    start: _Point,
     prior: Belief | None,
-) -> tuple[np.ndarray, float] | None:
+) -> _Point | None:
     for share in (1.0, 0.5, 0.2):
         z = problem.z.copy()
         z[which] = np.clip(z[which] + share * move, *problem.model.ranges[:, which])
-        lower = _objective(problem, z, which, scenes, prior)
-        if lower < error:
-            return z, lower
+        found = _measured(problem, z, which, scenes, prior)
+        if found.total < start.total:
+            return found
     return None

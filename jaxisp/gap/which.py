@@ -11,7 +11,7 @@ import numpy as np
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.refit import Trial, distant, lowest, refit, searched, switched_on
-from jaxisp.gap.solve import solve
+from jaxisp.gap.solve import modest, solve
 
 LEADING = 0.25
 """What the first of the causes must close: less does not account for a gap, a stranger looks like that."""
@@ -29,13 +29,16 @@ def screen(problem: Measured, names: Sequence[str], split: Split) -> dict[str, f
     halves = [(split.fit, split.held_out), (split.held_out, split.fit)]
     gram, slope = problem.normal(sorted(problem.columns))
     order = {i: k for k, i in enumerate(sorted(problem.columns))}
+    errors = problem.errors(problem.z)
 
     def promised(which: Sequence[int]) -> float:
         at = [order[i] for i in which]
         total = 0.0
         for learn, apply in halves:
+            believed = modest(problem, which, float(errors[list(learn)].mean()))
             move = solve(
-                gram[list(learn)][:, at][:, :, at].mean(0), slope[list(learn)][:, at].mean(0),
+                gram[list(learn)][:, at][:, :, at].mean(0) + believed[0],
+                slope[list(learn)][:, at].mean(0) + believed[1],
                 problem.z[list(which)], problem.model.ranges[:, list(which)],
             )  # fmt: skip
             a, b = gram[list(apply)][:, at][:, :, at].mean(0), slope[list(apply)][:, at].mean(0)

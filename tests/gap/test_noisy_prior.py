@@ -9,7 +9,6 @@ from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.noisy_prior import TYPICAL, Prior, plain_prior, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem
-from jaxisp.gap.solve import fit
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from tests.conftest import smooth_image
@@ -59,36 +58,6 @@ def test_its_gradient_is_that_of_its_penalty(problem):
     gram, right = prior.normal(z)
     np.testing.assert_allclose(2 * right, slope, rtol=1e-6, atol=1e-6 * np.abs(right).max())
     np.testing.assert_allclose(prior.normal(z + 0.1)[1], right - 0.1 * gram.sum(1), rtol=1e-6, atol=1e-9)
-
-
-def test_a_fit_with_a_prior_is_ridge_regression():
-    """Closed form: the columns of this problem do not depend on where it is."""
-    rng = np.random.default_rng(2)
-    design, target = rng.normal(size=(40, 3)), rng.normal(size=40)
-    prior = Prior(rng.normal(size=(2, 3)), np.array([1.0, -2.0]), 0.7)
-
-    class Line:
-        z, columns = np.zeros(3), {}
-        model = type("M", (), {"ranges": np.array([[-9.0] * 3, [9.0] * 3])})
-
-        def errors(self, z):
-            return np.array([((target - design @ z) ** 2).mean()])
-
-        def compute(self, which):
-            pass
-
-        def normal(self, which):
-            right = design.T @ (target - design @ self.z)
-            return (design.T @ design)[None] / 40, right[None] / 40
-
-        def move_to(self, z):
-            self.z = z
-
-    line = Line()
-    fit(line, range(3), [0], steps=20, prior=prior)
-    rows = np.concatenate([design / np.sqrt(40), np.sqrt(0.7) * prior.rows])
-    wanted = np.concatenate([target / np.sqrt(40), np.sqrt(0.7) * prior.wanted])
-    np.testing.assert_allclose(line.z, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-3)
 
 
 def test_colours_that_were_not_fitted_come_out_as_a_camera_has_them(monkeypatch):

@@ -1,0 +1,50 @@
+"""What a fit minimises, against closed forms and SciPy; the columns of this problem do not change."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from jaxisp.gap.noisy_prior import Prior
+from jaxisp.gap.solve import fit
+
+RNG = np.random.default_rng(2)
+DESIGN, TARGET = RNG.normal(size=(40, 3)), RNG.normal(size=40)
+
+
+class Line:
+    def __init__(self, spreads):
+        self.z, self.columns = np.zeros(3), {}
+        ranges, precisions = np.array([[-9.0] * 3, [9.0] * 3]), np.array(spreads) ** -2.0
+        self.model = type("M", (), {"ranges": ranges, "precisions": precisions})
+
+    def errors(self, z):
+        return np.array([((TARGET - DESIGN @ z) ** 2).mean()])
+
+    def compute(self, which):
+        pass
+
+    def normal(self, which):
+        right = DESIGN.T @ (TARGET - DESIGN @ self.z)
+        return (DESIGN.T @ DESIGN)[None] / 40, right[None] / 40
+
+    def move_to(self, z):
+        self.z = z
+
+
+def test_a_fit_with_a_prior_is_ridge_regression():
+    prior = Prior(RNG.normal(size=(2, 3)), np.array([1.0, -2.0]), 0.7)
+    line = Line([np.inf] * 3)
+    fit(line, range(3), [0], steps=20, prior=prior)
+    rows = np.concatenate([DESIGN / np.sqrt(40), np.sqrt(0.7) * prior.rows])
+    wanted = np.concatenate([TARGET / np.sqrt(40), np.sqrt(0.7) * prior.wanted])
+    np.testing.assert_allclose(line.z, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("spreads", [(np.inf, 0.02, 0.05), (0.01, 0.01, 0.01), (np.inf,) * 3])
+def test_moves_cost_a_hundredth_of_the_error_for_each_spread_squared(spreads):
+    line, weights = Line(spreads), np.array(spreads) ** -2.0
+    fit(line, range(3), [0], steps=20)
+    best = scipy.optimize.minimize(
+        lambda z: line.errors(z)[0] * (1 + 0.01 * weights @ z**2), np.zeros(3), tol=1e-12
+    )
+    np.testing.assert_allclose(line.z, best.x, atol=2e-2 * np.abs(best.x).max())
