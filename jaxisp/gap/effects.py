@@ -307,12 +307,13 @@ _add(
 )  # fmt: skip
 _add(
     "heavy_tailed_noise", stage("heavy_tailed_noise"), "mosaic",
-    [Move("std", 0.005, 0, 0.1)],
+    [Move("std", 0.005, 0, 0.1), Move("tail", 0.1, -0.1, 0.2, off=0.15)],
     "tail", "hot_pixels", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(
     "hot_pixels", stage("hot_pixels", sensor=1), "mosaic",
-    [Move("density", 0.002, 0, 0.05)],
+    [Move("density", 0.002, 0, 0.05), Move("level", -0.3, -0.8, 0.5, off=1),
+     Move("spread", 0.5, 0, 1), Move("dead", 0.3, 0, 0.7)],
     "tail fixed_pattern", "heavy_tailed_noise prnu", shows_in=(CLEAN_NOISY,), random=True,
 )  # fmt: skip
 _add(

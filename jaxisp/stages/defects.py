@@ -19,17 +19,18 @@ class HotPixels:
     density: Leaf = param(0.0005, (0.0, 0.1), "1", doc="share of the photosites")
     level: Leaf = param(1.0, (0.1, 2.0), "level", doc="what the hottest photosite reads")
     spread: Leaf = param(0.0, (0.0, 1.0), "1", doc="share of it that the others may read less")
+    dead: Leaf = param(0.0, (0.0, 1.0), "1", doc="share of them that read nothing instead")
 
 
 @register
 def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int | None = None) -> Mosaic:
-    """Set photosites at random places to a high level, each to its own.
+    """Set photosites at random places to a high level, each to its own, and some of them to none.
 
-    `y = level (1 - spread v) where u < density else x`, u and v uniform on [0, 1) per photosite: more
-    density keeps the places that are hot already.
+    `y = level (1 - spread (v - dead) / (1 - dead)) where u < density else x`, but 0 where v < dead too; u and
+    v uniform on [0, 1) per photosite: more density keeps the places that are hot already.
 
     Args:
-        params: density, level and spread.
+        params: density, level, spread and dead.
         image: (H, W) linear light, any range.
         key: draws the places.
         sensor: a serial number that fixes the places whatever the key; None draws them from the key.
@@ -38,13 +39,15 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
         (H, W) linear light.
 
     Gradient: surrogate for the density (that of the expected image, `y - x` at every photosite); exact to
-    the level, the spread and the image.
+    the level, the spread and the image; to `dead` only by what it makes of the levels of the others.
 
     Source: Jaroensri et al. 2019, section 3 (defects).
     """
     key = pattern_key(key, sensor, "hot_pixels")
-    own = jax.random.uniform(jax.random.fold_in(key, 1), image.shape)
-    return _stuck(image, key, params.density, params.level * (1 - params.spread * own))
+    v = jax.random.uniform(jax.random.fold_in(key, 1), image.shape)
+    place = (v - params.dead) / jnp.maximum(1 - params.dead, 1e-6)
+    level = jnp.where(v < params.dead, 0, params.level * (1 - params.spread * place))
+    return _stuck(image, key, params.density, level)
 
 
 @parameters

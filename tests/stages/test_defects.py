@@ -51,6 +51,11 @@ def test_levels_of_hot_photosites_spread_evenly():
     got = np.asarray(defects.hot_pixels(params, image, key=jax.random.key(3)))
     levels = got[got > 0]
     assert scipy.stats.kstest(levels, scipy.stats.uniform(0.4, 0.4).cdf).pvalue > 0.01
+    some = dataclasses.replace(params, dead=np.float32(0.3))
+    both = np.asarray(defects.hot_pixels(some, image + 0.1, key=jax.random.key(3)))
+    alive = both[(got > 0) & (both > 0)]
+    assert abs((both == 0).sum() / (got > 0).sum() - 0.3) < 4 * np.sqrt(0.21 / (got > 0).sum())
+    assert scipy.stats.kstest(alive, scipy.stats.uniform(0.4, 0.4).cdf).pvalue > 0.01
     one = dataclasses.replace(params, spread=np.float32(0))
     same = np.asarray(defects.hot_pixels(one, image, key=jax.random.key(3)))
     assert ((same > 0) == (got > 0)).all() and set(np.unique(same)) == {0, np.float32(0.8)}
