@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.withheld.bodies import BODIES
+from experiments.withheld.bodies import BODIES, LATER
 from experiments.withheld.effects import ABSORBABLE, DEVELOP, KINDS, PAIRED, SEALED, VOCABULARY, shows_in
 from experiments.withheld.scenes import SETS, Scenes, scenes
 from experiments.withheld.shoot import write
@@ -114,8 +114,8 @@ def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[
         own.problem.move_to(start)
         drops, scales = zip(*(drop(case, trial) for case in fresh))
     closed = sum(drops) / sum(scales)
-    ci = [trial.low, trial.high]
-    return record | {"closed": trial.closed, "ci": ci, "fresh": closed, "inside": ci[0] <= closed <= ci[1]}
+    (low, high), found = trial.ci, {"closed": trial.closed, "drawn": [trial.low, trial.high]}
+    return record | found | {"ci": [low, high], "fresh": closed, "inside": low <= closed <= high}
 
 
 def page(found: dict[str, Any]) -> str:
@@ -153,7 +153,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kind", choices=KINDS, required=True)
     parser.add_argument("--split", choices=sorted(SPLITS), default="develop")
-    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted(BODIES))
+    first = sorted({*BODIES} - {*LATER})
+    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=first)
     parser.add_argument("--effects", nargs="+", choices=sorted(VOCABULARY), help="only these of the split")
     parser.add_argument("--strength", type=int, default=4)
     parser.add_argument("--out", type=Path, required=True)

@@ -15,7 +15,7 @@ from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.noisy_pairs import by_scene, scene_name
-from jaxisp.gap.noisy_start import noise_indices, placed, starts
+from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts
 from jaxisp.gap.noisy_units import axis_of, emphasised, noise_only, repeats, tolerances, weights
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of
@@ -142,10 +142,22 @@ class StatisticsProblem:
         """(scenes, frames) values (N, 1) of these pairs, for intervals over what is independent."""
         return by_scene(values, [self.pairs.names[i] for i in which])
 
+    def scenes(self, which: Sequence[int]) -> int | None:
+        """How many scenes these pairs are of."""
+        return len({scene_name(self.pairs.names[i]) for i in which})
+
     def errors(self, z: np.ndarray) -> np.ndarray:
         """(N,) each pair's part in the square of its half's mean difference, the mean of these parts."""
         own = self._scale * self._counted * (self.real - self.simulated(z))
         return (own * self._mean(own)).mean(1)
+
+    def distances(self, z: np.ndarray) -> np.ndarray:
+        """(N,) mean squares of what the real pictures differ in from what is simulated on average; of two
+        draws, so that only the real noise is in it."""
+        one, other = (self.target - self.picture(z, k) for k in (0, 1))
+        mask = np.asarray(self.mask)
+        found = (one * other * mask[..., None]).mean(-1).sum((1, 2)) / mask.sum((1, 2))
+        return np.asarray(found, float)
 
     def move_to(self, z: np.ndarray) -> None:
         self.z = np.asarray(z, float)
@@ -173,6 +185,10 @@ class StatisticsProblem:
     def starts(self, own: Sequence[int]) -> list[np.ndarray]:
         """Where to begin fitting a noise."""
         return starts(self.model, self.z, own)
+
+    def noisier(self, z: np.ndarray, i: int) -> list[np.ndarray]:
+        """The point, and with more noise than it has where coordinate i may smooth it."""
+        return noisier(self.model, z, i)
 
     def take(self, which: Sequence[int]) -> Any:
         """Those that are fitted as a problem of their own, which takes half as long to move; others as part

@@ -240,7 +240,7 @@ _add(
 _add(
     "luma_denoising", stage("luma_denoising"), "encoded",
     _entries("shares", 5, 0.5, -0.2, 1.2),
-    "frequency lag edge", "optical_blur resampling demosaicking", strong=_each(5),
+    "frequency lag edge", "optical_blur resampling sharpening demosaicking", strong=_each(5),
 )  # fmt: skip
 _add(
     "chroma_denoising", stage("chroma_denoising"), "encoded",

@@ -59,6 +59,14 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
     return found if len(found) > 1 else []
 
 
+def noisier(model: Model, z: np.ndarray, i: int) -> list[np.ndarray]:
+    """The point, and with more and more of the base's noise: what smooths it, as coordinate i may unless it
+    is a noise itself, has been imitated by less."""
+    node = model.coordinates[i].node
+    random = node in EFFECTS and EFFECTS[node].random
+    return [z, *(() if random else (_with_noise(model, z, share) for share in _MORE[1:]))]
+
+
 def _with_noise(model: Model, z: np.ndarray, share: float) -> np.ndarray:
     """The point with both noises of the base at a share of their variance."""
     moved = z.copy()

@@ -5,13 +5,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Choice
 from jaxisp.gap.solve import fit
 
 SMALLEST = 0.05
 """The lower end of an accepted effect's interval of closure."""
+FARTHEST = 0.2
+"""By what share an effect may raise the mean square distance of pixels, noise and all. Statistics are blind
+to much: a warp of several pixels smooths noise as well, but what it shows is elsewhere."""
 _DRAWS = 400
+_LEAST_WHOLE = 0.25  # of the gap in what is drawn: near the floor a part of it may be none
+
+
+@dataclasses.dataclass(frozen=True)
+class Whole:
+    """The gap above the floor that closure is a share of: its size, and the part (N, U) of each held-out
+    pair's units, clustered as their drops are."""
+
+    size: float
+    parts: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +33,8 @@ class Trial:
     """An effect refitted with the base: where it ended, and the share of the gap it closes there.
 
     `choice` is what the base became with it, None where it stayed as it was; `params` are the effect's own
-    where `z` has none for it.
+    where `z` has none for it; `farther` is the share by which pixels are farther from the real ones with it.
+    `low` and `high` bound what it lowers this gap by, as these scenes are; `ci` bounds the share on others.
     """
 
     effect: str
@@ -32,10 +47,20 @@ class Trial:
     least: float
     choice: Choice | None = None
     params: dict[str, float] = dataclasses.field(default_factory=dict)
+    farther: float = 0.0
+    ends: tuple[float, float] | None = None
+
+    @property
+    def ci(self) -> tuple[float, float]:
+        return self.ends or (self.low, self.high)
+
+    @property
+    def possible(self) -> bool:
+        return self.farther < FARTHEST
 
     @property
     def accepted(self) -> bool:
-        return self.low > max(SMALLEST, self.least)
+        return self.possible and self.low > max(SMALLEST, self.least) and self.ci[0] > SMALLEST
 
 
 def switched_on(problem: Measured) -> list[int]:
@@ -44,13 +69,13 @@ def switched_on(problem: Measured) -> list[int]:
     return [i for i in range(first, len(problem.z)) if problem.z[i] != 0]
 
 
-def refit(problem: Measured, effect: str, split: Split, scale: float, least: float, steps: int = 4) -> Trial:
+def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: float, steps: int = 4) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
     The problem stays where it is.
 
     Args:
-        scale: the whole gap, before any effect less the floor, that closure is a share of.
+        whole: the gap before any effect.
         least: the share that the lower end of its interval must be above, beside `SMALLEST`.
     """
     own = problem.model.indices([effect])
@@ -61,6 +86,8 @@ def refit(problem: Measured, effect: str, split: Split, scale: float, least: flo
     if choice is not None:
         fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
     held = problem.take(split.held_out)
+    random = effect in EFFECTS and EFFECTS[effect].random  # where its pattern falls says nothing
+    far = None if random else held.distances(problem.z)
     before = held.units(problem.z)
     harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
     if choice is not None:
@@ -70,10 +97,16 @@ def refit(problem: Measured, effect: str, split: Split, scale: float, least: flo
     after = held.units(part.z)
     drop = harmless - after
     lost = float(np.nanmean(drop))
-    low, high = interval(problem.clustered(drop, split.held_out), scale)
+    drops = problem.clustered(drop, split.held_out)
+    low, high = interval(drops, whole.size)
     chosen = None if choice is None else problem.choices[choice]
+    farther = 0.0 if far is None else float(np.asarray(held.distances(part.z)).mean() / far.mean()) - 1
     start = float(np.nanmean(before))
-    return Trial(effect, part.z, start, start - lost, lost / scale, low, high, least, chosen)
+    closed, factor = lost / whole.size, few_scenes(problem.scenes(split.held_out))
+    ends = stretched(closed, interval(drops, whole.parts), factor)
+    return Trial(
+        effect, part.z, start, start - lost, closed, low, high, least, chosen, farther=farther, ends=ends
+    )
 
 
 def _harmless(
@@ -100,23 +133,35 @@ def _fit_with(
         part.compute([i for i in moving if i not in gridded])
     columns = part.columns
     for i in gridded:
-        part.move_to(part.placed(part.z, i, part.z[i] + lowest(part, i, seen)))
+        points = [part.placed(part.z, i, part.z[i] + v) for v in part.model.coordinates[i].move.grid]
+        part.move_to(_best_of([near for z in points for near in part.noisier(z, i)], part, seen))
     starts = part.starts([i for i in own if i not in gridded])
     if starts:
-        part.move_to(min(starts, key=lambda z: part.errors(z)[list(seen)].mean()))
+        part.move_to(_best_of(starts, part, seen))
     smooth = [i for i in moving if i not in gridded]
     fresh = [i for i in smooth if i in own or i in part.fresh]
     if starts or gridded:  # the columns of these are another point's
         columns = {i: column for i, column in columns.items() if i not in fresh}
     part.columns = dict(columns)
     fit(part, smooth, seen, steps=steps, fresh=fresh)
-    for i in gridded:
-        for share in (0.5, 0.25):
-            part.move_to(_nearby(part, i, share, seen))
-        if part.model.coordinates[i].move.fine:
-            part.move_to(_finely(part, i, seen))
+
+    def go_to(z: np.ndarray) -> None:
+        """The rest has been fitted for the place before."""
+        if (z != part.z).any():
+            part.move_to(z)
             part.columns = dict(columns)
             fit(part, smooth, seen, steps=2, fresh=fresh)
+
+    for i in gridded:
+        go_to(_nearby(part, i, 0.5, seen))
+        go_to(_nearby(part, i, 0.25, seen))
+        if part.model.coordinates[i].move.fine:
+            go_to(_finely(part, i, seen))
+
+
+def _best_of(points: Sequence[np.ndarray], problem: Measured, seen: Sequence[int]) -> np.ndarray:
+    """The point that leaves the least error."""
+    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
 
 
 def _from_afar(part: Measured, own: Sequence[int], seen: Sequence[int]) -> np.ndarray:
@@ -124,7 +169,7 @@ def _from_afar(part: Measured, own: Sequence[int], seen: Sequence[int]) -> np.nd
     z = part.z
     for i in own:
         points = [z, *(part.placed(z, i, z[i] + v) for v in part.model.coordinates[i].move.far)]
-        z = min(points, key=lambda p: part.errors(p)[list(seen)].mean()) if len(points) > 1 else z
+        z = _best_of(points, part, seen) if len(points) > 1 else z
     return z
 
 
@@ -156,7 +201,7 @@ def _nearby(problem: Measured, i: int, share: float, seen: Sequence[int]) -> np.
     spacing = np.sort(np.abs(grid - problem.z[i]))[1] * share
     tried = [np.clip(problem.z[i] + d, *problem.model.ranges[:, i]) for d in (0, -spacing, spacing)]
     points = [problem.placed(problem.z, i, v) for v in tried]
-    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
+    return _best_of(points, problem, seen)
 
 
 def _finely(problem: Measured, i: int, seen: Sequence[int]) -> np.ndarray:
@@ -165,7 +210,7 @@ def _finely(problem: Measured, i: int, seen: Sequence[int]) -> np.ndarray:
     reach = np.sort(np.abs(np.array(move.grid) - z))[1] / 4
     tried = np.clip(z + np.arange(-reach, reach, move.fine), *problem.model.ranges[:, i])
     points = [problem.z, *(problem.placed(problem.z, i, v) for v in tried)]
-    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
+    return _best_of(points, problem, seen)
 
 
 _CLEARLY = 0.98
@@ -189,12 +234,35 @@ def _choose_again(problem: Measured, seen: Sequence[int]) -> int | None:
     return best_choice
 
 
-def interval(drop: np.ndarray, scale: float, seed: int = 0) -> tuple[float, float]:
-    """90 % interval of the mean of (N, U) drops over `scale`, by a bootstrap of pairs and their units."""
+def interval(drop: np.ndarray, whole: np.ndarray | float, seed: int = 0) -> tuple[float, float]:
+    """90 % interval of the mean of (N, U) drops over the whole, by a bootstrap of pairs and their units.
+
+    Where the whole is given unit by unit a scene that has more of the gap is drawn with it, and does not make
+    the share uncertain.
+    """
     rng = np.random.default_rng(seed)
     n, u = drop.shape
     pairs = rng.integers(n, size=(_DRAWS, n))
     units = rng.integers(u, size=(_DRAWS, n, u))
-    means = np.nanmean(drop[pairs[..., None], units], (1, 2)) / scale
-    low, high = np.percentile(means, (5, 95))
+    means = np.nanmean(drop[pairs[..., None], units], (1, 2))
+    if isinstance(whole, np.ndarray):
+        sizes = np.nanmean(whole[pairs[..., None], units], (1, 2))
+        whole = np.maximum(sizes, _LEAST_WHOLE * np.nanmean(whole))
+    low, high = np.percentile(means / whole, (5, 95))
     return float(low), float(high)
+
+
+def few_scenes(count: int | None) -> float:
+    """How many times as wide as a bootstrap's the 90 % interval of a mean over so many independent figures
+    is: Student's t for the normal's, and the variance with n - 1. 1 for one figure; for None, of tiles too.
+    """
+    if count is None or count < 2:
+        return 1.0
+    from scipy.stats import norm, t
+
+    return float(np.sqrt(count / (count - 1)) * t.ppf(0.95, count - 1) / norm.ppf(0.95))
+
+
+def stretched(middle: float, ends: tuple[float, float], factor: float) -> tuple[float, float]:
+    low, high = (middle + factor * (end - middle) for end in ends)
+    return low, high

@@ -94,6 +94,10 @@ class Problem:
         """Where to begin fitting these coordinates: where the problem is, if there is nothing to choose."""
         return []
 
+    def noisier(self, z: np.ndarray, i: int) -> list[np.ndarray]:
+        """The point alone: there is no noise to imitate anything with."""
+        return [z]
+
     def choose(self, choice: Choice) -> None:
         """Put a choice into the base, and stay at the same point."""
         self.model = self.model.chosen(choice)
@@ -132,6 +136,10 @@ class Problem:
         """(N, U) values of these pairs: all are taken for independent."""
         return values
 
+    def scenes(self, which: Sequence[int]) -> int | None:
+        """Not counted: that tiles are drawn beside pairs makes up for few of these."""
+        return None
+
     def tiled(self, square: np.ndarray, side: int = 60) -> np.ndarray:
         """(N, U) means over tiles of (N, h, w) weighted squares, scaled likewise."""
         h, w = square.shape[1:]
@@ -143,6 +151,10 @@ class Problem:
     def errors(self, z: np.ndarray) -> np.ndarray:
         """(N,) mean square residual of each pair, all channels together."""
         return self.mean_squares((self.target - self.picture(z)) * self.weight)
+
+    def distances(self, z: np.ndarray) -> np.ndarray | None:
+        """None: the errors are those of pixels already."""
+        return None
 
     def mean_squares(self, residual: np.ndarray) -> np.ndarray:
         flat = residual.reshape(len(residual), -1)

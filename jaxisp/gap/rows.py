@@ -34,14 +34,15 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         moved = model.coordinates[i]
         key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
         params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
-    spread = max((trial.high - trial.low) / 3.29, 1e-6)
+    low, high = trial.ci
+    spread = max((high - low) / 3.29, 1e-6)
     return {
         "effect": trial.effect,
         "site": effect.site,
         "gap_before": trial.before,
         "gap_after": trial.after,
         "closed": trial.closed,
-        "ci": [trial.low, trial.high],
+        "ci": [low, high],
         "alternatives": alike,
         "next_measurement": NEXT.get(trial.effect, "more pairs, of scenes that differ") if alike else None,
         "p_value": _p_value(trial.closed / spread, tried),

@@ -9,6 +9,7 @@ import numpy as np
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
 from jaxisp.gap.measured import Case
+from jaxisp.gap.refit import Whole
 from jaxisp.gap.which import Tick, search
 
 MOST_CAUSES = 3
@@ -58,6 +59,13 @@ def gap_at(case: Case) -> Gap:
     return Gap(before, float(min(case.floors[held].mean(), before)))
 
 
+def whole_of(case: Case, size: float) -> Whole:
+    """The gap above the floor, unit by unit of the held-out pairs."""
+    problem, held = case.problem, list(case.split.held_out)
+    above = problem.units(problem.z)[held] - case.floors[held][:, None]
+    return Whole(size, problem.clustered(above, held))
+
+
 def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     """Moves the problem to where its causes take it."""
     problem, scale, kind = case.problem, gap.scale, case.kind
@@ -67,7 +75,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
     apart = APART[kind] * gap.floor / scale
     causes, trials, promises = search(
-        problem, case.offered, case.split, scale, least, most, tick, enough, apart, case.seen
+        problem, case.offered, case.split, whole_of(case, scale), least, most, tick, enough, apart, case.seen
     )
     if case.stored is not None:
         grain = grain_trial(problem, case.stored, case.split, scale, least)

@@ -10,12 +10,16 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
-from jaxisp.gap.refit import Trial, distant, lowest, refit, searched, switched_on
+from jaxisp.gap.refit import Trial, Whole, distant, lowest, refit, searched, switched_on
 from jaxisp.gap.solve import modest, solve
 
 LEADING = 0.25
 """What the first of the causes must close: less does not account for a gap, a stranger looks like that."""
 _REFITTED = 6
+_AS_MUCH = 0.8  # of what the best closes: a form that is not quite right costs a fifth
+_NEARER = 0.05
+"""By what share of the mean square distance of pixels one effect must be nearer than another to be told from
+it by that."""
 
 
 def screen(problem: Measured, names: Sequence[str], split: Split) -> dict[str, float]:
@@ -61,7 +65,8 @@ def _anyway(problem: Measured, name: str) -> float:
 
 
 def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
-    """The accepted trial that closes most; one that another can imitate in full is preferred to it.
+    """The accepted trial that closes most, or of those that close about as much the one whose pictures are
+    clearly nearest; one that another can imitate in full is preferred to it.
 
     Args:
         trials: of one step.
@@ -74,13 +79,26 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
     shown = [t for t in accepted if t.effect in seen and t.closed >= LEADING]
     if shown:
         return shown[0]
-    first = accepted[0]
-    for other in accepted[1:]:
+    first = _nearest([t for t in accepted if t.closed > _AS_MUCH * accepted[0].closed])
+    for other in (t for t in accepted if t is not first):
         imitated = other.effect in EFFECTS[first.effect].contains and other.closed > 0.93 * first.closed
         simpler = len(EFFECTS[other.effect].moves) < len(EFFECTS[first.effect].moves)
-        if imitated or (simpler and other.closed > 0.98 * first.closed):
+        as_good = simpler and other.closed > 0.98 * first.closed
+        if (imitated or as_good) and not told_by_pixels(first, other):
             first = other
     return first
+
+
+def _nearest(trials: Sequence[Trial]) -> Trial:
+    """The first of these, or the one whose pixels are nearer to the real ones by more than chance."""
+    near = min(trials, key=lambda t: t.farther)
+    return near if told_by_pixels(near, trials[0]) else trials[0]
+
+
+def told_by_pixels(one: Trial, other: Trial) -> bool:
+    """Whether the one's pictures are clearly nearer than the other's, where no noise is at stake."""
+    random = any(EFFECTS[t.effect].random for t in (one, other))
+    return not random and one.farther < other.farther - _NEARER
 
 
 def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) -> list[str]:
@@ -93,14 +111,24 @@ def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) ->
             the two are known to be easily taken for one another and the other leaves less than twice as much:
             what they leave then is not theirs alone, and grows with the gap.
     """
-    wide, interval = 0.2 * winner.closed, 0.5 * (winner.high - winner.low)
+    wide, interval = (1 - _AS_MUCH) * winner.closed, 0.5 * (winner.high - winner.low)
 
     def near(other: Trial) -> bool:
         alike = _alike(winner.effect, other.effect) and other.after < 2 * winner.after
         margin = wide if alike else min(wide, apart)
-        return other.effect != winner.effect and other.closed > winner.closed - max(margin, interval)
+        as_much = other.closed > winner.closed - max(margin, interval)
+        told = not other.possible or told_by_pixels(winner, other)
+        return other.effect != winner.effect and as_much and not told
 
     return [t.effect for t in trials if near(t)]
+
+
+def like_the_nearest(trials: Sequence[Trial], others: Sequence[str]) -> list[str]:
+    """What the effect that closes most may have been taken for, where that could lead: one move from nothing,
+    which is what screening sees, does not promise what the whole of an effect does."""
+    nearest = max(trials, key=lambda t: t.closed)
+    alike = EFFECTS[nearest.effect].alternatives if nearest.closed >= LEADING else ()
+    return [name for name in others if name in alike]
 
 
 def _alike(one: str, other: str) -> bool:
@@ -114,7 +142,7 @@ def search(
     problem: Measured,
     names: Sequence[str],
     split: Split,
-    scale: float,
+    whole: Whole,
     least: float,
     most: int,
     tick: Tick,
@@ -141,12 +169,15 @@ def search(
         tick(step, most, "screening effects")
         promises = screen(problem, left, split)
         ranked = sorted(left, key=lambda name: -promises[name])
-        tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * scale] or ranked[:1]
+        tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
         tried += [n for n in left if n in seen and n not in tried]
         trials = []
         for name in tried:
             tick(step, most, f"refitting {name}")
-            trials.append(refit(problem, name, split, scale, least))
+            trials.append(refit(problem, name, split, whole, least))
+        for name in like_the_nearest(trials, [n for n in left if n not in tried]):
+            tick(step, most, f"refitting {name}")
+            trials.append(refit(problem, name, split, whole, least))
         if step == 0:
             first_trials, first_promises = {t.effect: t for t in trials}, promises
         winner = best(trials, seen)
@@ -157,6 +188,6 @@ def search(
         problem.move_to(winner.z)
         if winner.choice is not None:
             problem.choose(winner.choice)
-        if winner.after - (causes[0][0].before - scale) < enough * scale:
+        if winner.after - (causes[0][0].before - whole.size) < enough * whole.size:
             break
     return causes, first_trials, first_promises

@@ -12,7 +12,7 @@ from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
 from jaxisp.gap.measured import Split
 from jaxisp.gap.model import build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import refit
+from jaxisp.gap.refit import Whole, refit
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.solve import fit
 from jaxisp.gap.which import screen
@@ -151,6 +151,6 @@ def test_a_warp_of_several_pixels_is_found(name):
     split = Split((0, 2), (1, 3))
     promised = screen(problem, [name, "sharpening"], split)
     assert promised[name] > promised["sharpening"]
-    gap = float(problem.errors(problem.z).mean())
-    found = refit(problem, name, split, gap, 0.0)
+    parts = problem.units(problem.z)[list(split.held_out)]
+    found = refit(problem, name, split, Whole(float(parts.mean()), parts), 0.0)
     assert found.z[first] == pytest.approx(z[first], rel=0.05) and found.closed > 0.9

@@ -8,7 +8,7 @@ from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.measured import Split
 from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import refit
+from jaxisp.gap.refit import Whole, few_scenes, interval, refit, stretched
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
@@ -33,8 +33,34 @@ def test_a_choice_is_not_credited_to_the_effect(blur, least, most):
         model, Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool)), CHOICES
     )
     problem.compute(model.indices(["optical_blur"]) + model.base_indices)
-    found = refit(
-        problem, "optical_blur", Split((0, 2), (1, 3)), float(problem.errors(problem.z).mean()), 0.0
-    )
+    split = Split((0, 2), (1, 3))
+    parts = problem.units(problem.z)[list(split.held_out)]
+    found = refit(problem, "optical_blur", split, Whole(float(parts.mean()), parts), 0.0)
     assert found.choice is CHOICES[0]
     assert least < found.closed < most
+
+
+@pytest.mark.parametrize("scenes", [3, 5])
+def test_the_interval_of_few_scenes_covers_as_often_as_it_says(scenes):
+    """The mean of so many Gaussian figures, 2000 times; what a bootstrap alone draws is far too narrow."""
+    draws = np.random.default_rng(7).normal(1.0, 0.2, (2000, scenes, 1))
+    covered = {1.0: 0, few_scenes(scenes): 0}
+    for drop in draws:
+        ends = interval(drop, 1.0)
+        for factor in covered:
+            low, high = stretched(float(drop.mean()), ends, factor)
+            covered[factor] += low <= 1.0 <= high
+    shares = [n / len(draws) for n in covered.values()]
+    assert shares[0] < 0.8 and 0.84 < shares[1] < 0.93
+
+
+def test_one_scene_and_tiles_are_left_as_they_are():
+    assert few_scenes(1) == few_scenes(None) == 1.0 and stretched(0.5, (0.4, 0.7), 1.0) == (0.4, 0.7)
+    assert few_scenes(2) > few_scenes(3) > few_scenes(30) == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_scene_with_more_of_the_gap_does_not_make_the_share_uncertain():
+    parts = np.array([[1.0], [4.0], [10.0]])
+    assert interval(0.8 * parts, parts) == pytest.approx((0.8, 0.8))
+    low, high = interval(0.8 * parts, float(parts.mean()))
+    assert high - low > 0.5

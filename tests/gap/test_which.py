@@ -1,10 +1,12 @@
 """What counts as not told apart from the effect that is named."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import best, lookalikes
+from jaxisp.gap.which import best, like_the_nearest, lookalikes
 
 
 def trial(effect, closed, low, high):
@@ -31,6 +33,31 @@ def test_what_is_easily_taken_for_it_is_named_with_it_up_to_a_fifth(apart):
 def test_what_leaves_twice_as_much_is_told_apart():
     winner, other = trial("prnu", 0.985, 0.98, 0.99), trial("column_noise", 0.8, 0.79, 0.81)
     assert lookalikes(winner, [winner, other], 0.02) == []
+
+
+def test_what_takes_pixels_farther_away_is_neither_accepted_nor_named_beside_another():
+    winner, warp = trial("chroma_denoising", 0.6, 0.5, 0.7), trial("geometric_distortion", 0.65, 0.6, 0.7)
+    assert best([winner, warp]) is warp and lookalikes(warp, [winner, warp]) == ["chroma_denoising"]
+    moved = dataclasses.replace(warp, farther=0.3)
+    assert best([winner, moved]) is winner and best([moved]) is None
+    assert lookalikes(winner, [winner, moved]) == []
+
+
+def test_of_two_that_close_about_as_much_the_nearer_is_named_alone():
+    winner, warp = trial("geometric_distortion", 0.71, 0.6, 0.8), trial("chroma_denoising", 0.73, 0.6, 0.8)
+    near = dataclasses.replace(winner, farther=-0.3)
+    assert best([winner, warp]) is warp and best([near, warp]) is near
+    assert lookalikes(near, [near, warp]) == [] and lookalikes(warp, [near, warp]) == [near.effect]
+    grain = trial("film_grain", 0.73, 0.6, 0.8)  # adds noise, which moves no mean
+    assert best([near, grain]) is grain and lookalikes(near, [near, grain]) == ["film_grain"]
+    assert best([dataclasses.replace(near, closed=0.5), warp]) is warp
+
+
+def test_what_the_nearest_may_have_been_taken_for_is_tried_too():
+    others = ["jpeg_quantization", "prnu", "chroma_subsampling"]
+    near, far = trial("chroma_denoising", 0.6, 0.5, 0.7), trial("prnu", 0.2, 0.1, 0.3)
+    assert like_the_nearest([far, near], others) == ["jpeg_quantization", "chroma_subsampling"]
+    assert like_the_nearest([far, dataclasses.replace(near, closed=0.2)], others) == []  # it could not lead
 
 
 def test_a_wide_interval_tells_nothing_apart():
