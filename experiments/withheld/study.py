@@ -111,6 +111,7 @@ def kept(report: Report) -> dict[str, Any]:
         "ci": {c["effect"]: c["ci"] for c in causes},
         "ranking": [r["effect"] for r in report["ranking"]],
         "status": {r["effect"]: r["status"] for r in report["ranking"]},
+        "predicted": {r["effect"]: r["predicted"] for r in report["ranking"] if r.get("ci")},
         "absorbed": report["base"].get("absorbed", {}),
         "gap": report["gap"],
         "where": [w["axis"] for w in report["where"][:3]],

@@ -151,7 +151,8 @@ def confusion(records: list[Record]) -> str:
 
 
 def closures(records: list[Record]) -> str:
-    """Named share closed over the share that the effect made, and how often the interval holds the latter."""
+    """Named share closed over the share that the effect made, how far off the refit and screening were of
+    that, and how often the interval holds it."""
     right = [r for r in records if first_right(r) and r.get("true_closure") is not None]
     if not right:
         return ""
@@ -161,7 +162,17 @@ def closures(records: list[Record]) -> str:
     inside = [r["ci"][name[id(r)]][0] <= r["true_closure"] <= r["ci"][name[id(r)]][1] for r in right]
     middle = f"{median(ratios):.2f}" if ratios else "–"
     covered = f"reducible inside the interval: {mean(inside):.0%}"
-    return f"Closed over reducible, median: {middle} ({len(ratios)}); {covered}.\n"
+    off = {"the refit": [r["closed"][name[id(r)]] - r["true_closure"] for r in right]}
+    off["screening"] = [
+        r["predicted"][name[id(r)]] - r["true_closure"]
+        for r in right
+        if name[id(r)] in r.get("predicted", ())
+    ]
+    errors = ", ".join(
+        f"{median(map(abs, found)):.2f} by {what} ({len(found)})" for what, found in off.items() if found
+    )
+    told = f"off by, median: {errors}"
+    return f"Closed over reducible, median: {middle} ({len(ratios)}); {told}; {covered}.\n"
 
 
 def gap_of(record: Record) -> str:

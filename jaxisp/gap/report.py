@@ -181,13 +181,11 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
 
 
 def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    found = {c["effect"]: c for c in report["causes"]}
     rows = report["ranking"]
-    top = max([1.0, *(c["ci"][1] for c in found.values() if finite(c["ci"][1]))])
+    top = max([1.0, *(r["ci"][1] for r in rows if r.get("ci") and finite(r["ci"][1]))])
     bars = []
     for row in rows:
-        cause = found.get(row["effect"])
-        ci = cause["ci"] if cause else None
+        ci = row.get("ci")
         bar = _bar(
             words(row["effect"]),
             row["closed"],

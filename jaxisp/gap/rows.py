@@ -78,12 +78,17 @@ def ranking_rows(
     absorbed: dict[str, float],
     scale: float,
 ) -> list[dict[str, Any]]:
-    accepted = {t.effect: t.closed for t, _ in causes}
+    """All candidates, best first: the share that each closes, with its interval where it was refitted, and
+    what screening had promised."""
+    accepted = {t.effect: t for t, _ in causes}
     alike = {name for _, names in causes for name in names}
     rows = []
     for name, promise in promises.items():
-        closed = accepted.get(name, trials[name].closed if name in trials else promise / scale)
+        trial, promised = accepted.get(name, trials.get(name)), float(promise / scale)
         status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
-        rows.append({"effect": name, "closed": float(closed), "status": status})
+        share = (promised, None) if trial is None else (float(trial.closed), list(trial.ci))
+        rows.append(
+            {"effect": name, "closed": share[0], "status": status, "ci": share[1], "predicted": promised}
+        )
     rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
     return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]
