@@ -41,6 +41,7 @@ _STATUS = {
     "absorbed": "taken up by the base fit",
     "not_identifiable": "cannot be told apart",
 }
+_FARTHER = "takes pixels farther away"
 
 
 def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder: str | Path) -> Path:
@@ -193,7 +194,8 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             percent(row["closed"]) + (f" {span(ci)}" if ci else ""),
             ci,
         )
-        bars.append(bar | {"kind": row["status"], "status": _STATUS.get(row["status"], row["status"])})
+        status = _STATUS.get(row["status"], row["status"]) if row.get("possible", True) else _FARTHER
+        bars.append(bar | {"kind": row["status"], "status": status})
     return bars
 
 

@@ -78,17 +78,17 @@ def ranking_rows(
     absorbed: dict[str, float],
     scale: float,
 ) -> list[dict[str, Any]]:
-    """All candidates, best first: the share that each closes, with its interval where it was refitted, and
-    what screening had promised."""
+    """All candidates, best first: the share that each closes, and what screening had predicted, the whole at
+    most. What was refitted has its interval, and whether it is possible: it takes pixels no farther away."""
     accepted = {t.effect: t for t, _ in causes}
     alike = {name for _, names in causes for name in names}
     rows = []
     for name, promise in promises.items():
-        trial, promised = accepted.get(name, trials.get(name)), float(promise / scale)
+        trial, promised = accepted.get(name, trials.get(name)), float(min(promise / scale, 1.0))
         status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
-        share = (promised, None) if trial is None else (float(trial.closed), list(trial.ci))
-        rows.append(
-            {"effect": name, "closed": share[0], "status": status, "ci": share[1], "predicted": promised}
-        )
+        row = {"effect": name, "closed": promised, "status": status, "predicted": promised}
+        if trial is not None:
+            row |= {"closed": float(trial.closed), "ci": list(trial.ci), "possible": trial.possible}
+        rows.append(row)
     rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
     return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]

@@ -49,8 +49,15 @@ REPORT = {
     "verdict": "effect",
     "causes": [CAUSE],
     "ranking": [
-        {"effect": "vignetting", "closed": 0.812, "status": "accepted"},
-        {"effect": "color_shading", "closed": 0.31, "status": "rejected"},
+        {"effect": "vignetting", "closed": 0.812, "status": "accepted", "ci": [0.7, 0.9]},
+        {
+            "effect": "color_shading",
+            "closed": 0.31,
+            "status": "rejected",
+            "ci": [0.2, 0.4],
+            "possible": False,
+        },
+        {"effect": "sharpening", "closed": 0.1, "status": "rejected", "predicted": 0.1},
         {"effect": "white_balance", "closed": -0.02, "status": "absorbed"},
     ],
     "where": [
@@ -147,6 +154,9 @@ def test_what_it_says():
     first = "The simulator lacks vignetting: it closes 81 % [76, 85] of the gap on held-out pairs."
     assert f"<h1>{first} 19 % of the gap stays unexplained.</h1>" in text
     assert "from 17.6 to 4.2; the floor is 1." in text
+    told = '<span class="status small">takes pixels farther away</span></span>'
+    refused = told + '\n<span class="value">31 % [20, 40]'
+    assert refused in text and text.count("takes pixels farther away") == 1
     assert "white balance 94 %" in text and "taken up by the base fit" in text and "62 s" in text
     assert "19 % of the gap is left. It shows by edge." in text
     assert (
@@ -273,7 +283,7 @@ def test_bars_are_to_scale():
     assert after / before == pytest.approx(4.2 / 17.6, abs=1e-3) and floor / before == pytest.approx(
         1 / 17.6, abs=1e-3
     )
-    assert ranking == [81.2, 31, 0]
+    assert ranking == [81.2, 31, 10, 0]
 
 
 def test_folder_that_cannot_be_written(tmp_path):
