@@ -16,6 +16,7 @@ FARTHEST = 0.2
 """By what share an effect may raise the mean square distance of pixels, noise and all. Statistics are blind
 to much: a warp of several pixels smooths noise as well, but what it shows is elsewhere."""
 _DRAWS = 400
+_ROUNDING = 1 / 12  # of 8 bits, which pictures without noise have left
 _LEAST_WHOLE = 0.25  # of the gap in what is drawn: near the floor a part of it may be none
 
 
@@ -86,9 +87,7 @@ def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: flo
     if choice is not None:
         fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
     held = problem.take(split.held_out)
-    random = effect in EFFECTS and EFFECTS[effect].random  # where its pattern falls says nothing
-    far = None if random else held.distances(problem.z)
-    before = held.units(problem.z)
+    before, far = held.units(problem.z), _distance(held, effect, problem.z)
     harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
     if choice is not None:
         held.choose(problem.choices[choice].take(split.held_out))
@@ -100,13 +99,21 @@ def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: flo
     drops = problem.clustered(drop, split.held_out)
     low, high = interval(drops, whole.size)
     chosen = None if choice is None else problem.choices[choice]
-    farther = 0.0 if far is None else float(np.asarray(held.distances(part.z)).mean() / far.mean()) - 1
+    farther = (_distance(held, effect, part.z) - far) / max(far, _ROUNDING)
     start = float(np.nanmean(before))
     closed, factor = lost / whole.size, few_scenes(problem.scenes(split.held_out))
     ends = stretched(closed, interval(drops, whole.parts), factor)
     return Trial(
         effect, part.z, start, start - lost, closed, low, high, least, chosen, farther=farther, ends=ends
     )
+
+
+def _distance(held: Measured, effect: str, z: np.ndarray) -> float:
+    """The mean square distance of pixels at a point; 0 where it says nothing: of a pattern's place, or where
+    pixels are what is compared."""
+    random = effect in EFFECTS and EFFECTS[effect].random
+    found = None if random else held.distances(z)
+    return 0.0 if found is None else float(found.mean())
 
 
 def _harmless(
