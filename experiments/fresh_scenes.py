@@ -114,8 +114,8 @@ def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[
         own.problem.move_to(start)
         drops, scales = zip(*(drop(case, trial) for case in fresh))
     closed = sum(drops) / sum(scales)
-    (low, high), found = trial.ci, {"closed": trial.closed, "drawn": [trial.low, trial.high]}
-    return record | found | {"ci": [low, high], "fresh": closed, "inside": low <= closed <= high}
+    ci = [trial.low, trial.high]
+    return record | {"closed": trial.closed, "ci": ci, "fresh": closed, "inside": ci[0] <= closed <= ci[1]}
 
 
 def page(found: dict[str, Any]) -> str:

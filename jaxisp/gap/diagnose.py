@@ -15,7 +15,7 @@ from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
 from jaxisp.gap.measured import Case, Downstream, Split
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import few_scenes, interval, stretched
+from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
 from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, Gap, gap_at, searched
@@ -254,8 +254,7 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
     """Of what is left; film grain moves no parameter, so its part is taken off every picture alike."""
     left = problem.units(problem.z)[list(held)]
     share = after / max(float(np.nanmean(left)), 1e-12)
-    ends = interval(problem.clustered(share * left, held), 1.0)
-    return list(stretched(after, ends, few_scenes(problem.scenes(held))))
+    return list(interval(problem.clustered(share * left, held), 1.0))
 
 
 def _unexplained(problem: Any, held: Sequence[int], after: float, gap: Gap) -> dict[str, Any]:

@@ -35,7 +35,8 @@ class Trial:
 
     `choice` is what the base became with it, None where it stayed as it was; `params` are the effect's own
     where `z` has none for it; `farther` is the share by which pixels are farther from the real ones with it.
-    `low` and `high` bound what it lowers this gap by, as these scenes are; `ci` bounds the share on others.
+    `low` and `high` are a bootstrap's; `surely` is the lower end of the share where a scene that has more of
+    the gap is drawn with it, and scenes are few.
     """
 
     effect: str
@@ -49,11 +50,7 @@ class Trial:
     choice: Choice | None = None
     params: dict[str, float] = dataclasses.field(default_factory=dict)
     farther: float = 0.0
-    ends: tuple[float, float] | None = None
-
-    @property
-    def ci(self) -> tuple[float, float]:
-        return self.ends or (self.low, self.high)
+    surely: float = np.inf
 
     @property
     def possible(self) -> bool:
@@ -61,7 +58,7 @@ class Trial:
 
     @property
     def accepted(self) -> bool:
-        return self.possible and self.low > max(SMALLEST, self.least) and self.ci[0] > SMALLEST
+        return self.possible and self.low > max(SMALLEST, self.least) and self.surely > SMALLEST
 
 
 def switched_on(problem: Measured) -> list[int]:
@@ -102,9 +99,9 @@ def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: flo
     farther = (_distance(held, effect, part.z) - far) / max(far, _ROUNDING)
     start = float(np.nanmean(before))
     closed, factor = lost / whole.size, few_scenes(problem.scenes(split.held_out))
-    ends = stretched(closed, interval(drops, whole.parts), factor)
+    surely = closed - factor * (closed - interval(drops, whole.parts)[0])
     return Trial(
-        effect, part.z, start, start - lost, closed, low, high, least, chosen, farther=farther, ends=ends
+        effect, part.z, start, start - lost, closed, low, high, least, chosen, farther=farther, surely=surely
     )
 
 
@@ -268,8 +265,3 @@ def few_scenes(count: int | None) -> float:
     from scipy.stats import norm, t
 
     return float(np.sqrt(count / (count - 1)) * t.ppf(0.95, count - 1) / norm.ppf(0.95))
-
-
-def stretched(middle: float, ends: tuple[float, float], factor: float) -> tuple[float, float]:
-    low, high = (middle + factor * (end - middle) for end in ends)
-    return low, high

@@ -34,15 +34,14 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         moved = model.coordinates[i]
         key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
         params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
-    low, high = trial.ci
-    spread = max((high - low) / 3.29, 1e-6)
+    spread = max((trial.high - trial.low) / 3.29, 1e-6)
     return {
         "effect": trial.effect,
         "site": effect.site,
         "gap_before": trial.before,
         "gap_after": trial.after,
         "closed": trial.closed,
-        "ci": [low, high],
+        "ci": [trial.low, trial.high],
         "alternatives": alike,
         "next_measurement": NEXT.get(trial.effect, "more pairs, of scenes that differ") if alike else None,
         "p_value": _p_value(trial.closed / spread, tried),
@@ -88,7 +87,7 @@ def ranking_rows(
         status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
         row = {"effect": name, "closed": promised, "status": status, "predicted": promised}
         if trial is not None:
-            row |= {"closed": float(trial.closed), "ci": list(trial.ci), "possible": trial.possible}
+            row |= {"closed": float(trial.closed), "ci": [trial.low, trial.high], "possible": trial.possible}
         rows.append(row)
     rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
     return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]

@@ -8,7 +8,7 @@ from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.measured import Split
 from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import Whole, few_scenes, interval, refit, stretched
+from jaxisp.gap.refit import Whole, few_scenes, interval, refit
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
@@ -48,14 +48,14 @@ def test_the_interval_of_few_scenes_covers_as_often_as_it_says(scenes):
     for drop in draws:
         ends = interval(drop, 1.0)
         for factor in covered:
-            low, high = stretched(float(drop.mean()), ends, factor)
+            low, high = (drop.mean() + factor * (end - drop.mean()) for end in ends)
             covered[factor] += low <= 1.0 <= high
     shares = [n / len(draws) for n in covered.values()]
     assert shares[0] < 0.8 and 0.84 < shares[1] < 0.93
 
 
 def test_one_scene_and_tiles_are_left_as_they_are():
-    assert few_scenes(1) == few_scenes(None) == 1.0 and stretched(0.5, (0.4, 0.7), 1.0) == (0.4, 0.7)
+    assert few_scenes(1) == few_scenes(None) == 1.0
     assert few_scenes(2) > few_scenes(3) > few_scenes(30) == pytest.approx(1.0, abs=0.06)
 
 

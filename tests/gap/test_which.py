@@ -43,6 +43,11 @@ def test_what_takes_pixels_farther_away_is_neither_accepted_nor_named_beside_ano
     assert lookalikes(winner, [winner, moved]) == []
 
 
+def test_a_share_that_few_scenes_leave_open_is_not_accepted():
+    wide = trial("row_noise", 0.8, 0.3, 1.2)
+    assert best([wide]) is wide and best([dataclasses.replace(wide, surely=-0.1)]) is None
+
+
 def test_of_two_that_close_about_as_much_the_nearer_is_named_alone():
     winner, warp = trial("geometric_distortion", 0.71, 0.6, 0.8), trial("chroma_denoising", 0.73, 0.6, 0.8)
     near = dataclasses.replace(winner, farther=-0.3)
