@@ -175,4 +175,4 @@ BODIES = {
     )
 }  # fmt: skip
 LATER = ("fir", "ginkgo", "hazel")
-"""Bodies that came last: nothing was changed for what the diagnosis says of them."""
+"""Bodies that came last, and were run when what decides was settled: see docs/diagnosis.md."""

@@ -43,8 +43,9 @@ def test_a_fit_with_a_prior_is_ridge_regression():
 @pytest.mark.parametrize("spreads", [(np.inf, 0.02, 0.05), (0.01, 0.01, 0.01), (np.inf,) * 3])
 def test_moves_cost_a_hundredth_of_the_error_for_each_spread_squared(spreads):
     line, weights = Line(spreads), np.array(spreads) ** -2.0
-    fit(line, range(3), [0], steps=20)
+    for _ in range(8):  # each stops where a step gains little
+        fit(line, range(3), [0], steps=20)
     best = scipy.optimize.minimize(
         lambda z: line.errors(z)[0] * (1 + 0.01 * weights @ z**2), np.zeros(3), tol=1e-12
     )
-    np.testing.assert_allclose(line.z, best.x, atol=2e-2 * np.abs(best.x).max())
+    np.testing.assert_allclose(line.z, best.x, atol=1e-3 * np.abs(best.x).max())
