@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from jaxisp.color import linear_to_srgb
 from jaxisp.io import output_folder, write_png
 from jaxisp.recipes import find_recipe
 from jaxisp.samples import scene
@@ -20,9 +21,7 @@ PLACES = (("astronaut", (0.3, 0.45, 0.5)), ("coffee", (0.5, 0.5, 0.6)), ("chelse
 
 def main() -> None:
     linear = np.stack([scene(name, PATCH, window) for name, window in PLACES])
-    clean = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(
-        np.float32
-    )
+    clean = linear_to_srgb(linear).astype(np.float32)
     rows = [clean]
     for name in ("awgn", "phone"):
         noisy, _, _ = find_recipe(name).degrade(jax.random.key(4), clean)

@@ -39,3 +39,16 @@ def apply_matrix(matrix: jax.Array | np.ndarray, image: jax.Array) -> jax.Array:
     m = jnp.asarray(matrix, image.dtype)
     r, g, b = (image[..., c] for c in range(3))
     return jnp.stack([m[i, 0] * r + m[i, 1] * g + m[i, 2] * b for i in range(3)], axis=-1)
+
+
+def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
+    """Encoded sRGB, at least 0, in linear light, without a device (IEC 61966-2-1; the stage `srgb_eotf` is
+    the one to differentiate)."""
+    high = ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4
+    return np.where(encoded <= 0.04045, encoded / 12.92, high)
+
+
+def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
+    """The inverse of `srgb_to_linear`."""
+    high = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, 12.92 * linear, high)

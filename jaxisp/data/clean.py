@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp import cores
+from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
@@ -139,19 +140,10 @@ def downsample_linear(image: np.ndarray, factor: int, softness: float = SOFTNESS
     if factor == 1:
         return image
     h, w = (n // factor for n in image.shape[:2])
-    linear = _decode(image[: h * factor, : w * factor])
+    linear = srgb_to_linear(image[: h * factor, : w * factor])
     small = linear.reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
-    return _encode(gaussian_filter(small, (softness, softness, 0)))
-
-
-def _decode(x: np.ndarray) -> np.ndarray:
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def _encode(x: np.ndarray) -> np.ndarray:
-    x = np.clip(x, 0, 1)
-    high = 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(x <= 0.0031308, 12.92 * x, high).astype(np.float32)
+    soft = gaussian_filter(small, (softness, softness, 0))
+    return linear_to_srgb(np.clip(soft, 0, 1)).astype(np.float32)
 
 
 def _crops(image: np.ndarray, patch: int, count: int, seed: int, index: int) -> np.ndarray:

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from jaxisp.color import srgb_to_linear
 from jaxisp.fit.align import Alignment, estimate, same_scene, warp
 from jaxisp.gap import prepare
 from jaxisp.gap.measured import Split
-from jaxisp.gap.residual import BORDER, Pairs, linear_light
+from jaxisp.gap.residual import BORDER, Pairs
 from jaxisp.io.datasets import Loaded
 
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
@@ -107,4 +108,4 @@ def _linear(pair: Loaded) -> np.ndarray:
     clean = np.asarray(pair.clean, np.float32)
     if pair.settings.clean_encoding == "linear":
         return clean
-    return linear_light(clean)
+    return srgb_to_linear(clean)

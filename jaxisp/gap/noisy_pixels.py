@@ -5,10 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxisp.color import srgb_to_linear
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_prior import plain_prior, typical_matrix
 from jaxisp.gap.noisy_sensor import find_sensor
-from jaxisp.gap.residual import Pairs, Problem, linear_light, to_steps
+from jaxisp.gap.residual import Pairs, Problem, to_steps
 from jaxisp.gap.solve import fit
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params
@@ -57,7 +58,7 @@ def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
     """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
     which = list(fit_on)
     own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
-    seen = (linear_light(pairs.pictures[which].astype(np.float64)) * own).sum((0, 1, 2))
+    seen = (srgb_to_linear(pairs.pictures[which].astype(np.float64)) * own).sum((0, 1, 2))
     return np.asarray(np.clip(seen / np.maximum((light * own).sum((0, 1, 2)), 1e-9), 0.05, 20))
 
 
@@ -65,7 +66,7 @@ def _scaled(pairs: Pairs) -> Pairs:
     """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
     may be of another exposure, tens of times as dark."""
     light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
-    ratio = (linear_light(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
+    ratio = (srgb_to_linear(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
         (light * own).sum((1, 2, 3)), 1e-9
     )
     if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped

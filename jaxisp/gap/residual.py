@@ -8,14 +8,16 @@ import copy
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from jaxisp.color import rgb_to_ycbcr_planes
+from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
 from jaxisp.gap.model import Choice, Model
+from jaxisp.gap.where import where
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import run, stage
 from jaxisp.stages.jpeg import JpegTables
@@ -156,6 +158,16 @@ class Problem:
         """None: the errors are those of pixels already."""
         return None
 
+    def scatter(self, z: np.ndarray) -> np.ndarray | None:
+        """None: what is simulated is the same each time."""
+        return None
+
+    def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
+        """The axes by their share of the residual where the problem stands; see `where`."""
+        held, scale = list(held), np.maximum(self.weight[..., :1], 1e-6)
+        residual, weight = (self.residual / scale)[held], self.weight[held][..., 0] ** 2
+        return where(residual, self.current[held], weight, rng=np.random.default_rng(0))
+
     def mean_squares(self, residual: np.ndarray) -> np.ndarray:
         flat = residual.reshape(len(residual), -1)
         return np.einsum("np,np->n", flat, flat, dtype=np.float64) / self.counts
@@ -198,11 +210,6 @@ def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.A
     return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)
 
 
-def linear_light(encoded: np.ndarray) -> np.ndarray:
-    """Encoded sRGB, not below 0, in linear light."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
 def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
     """(3, 3) colour matrix by least squares in linear light over means of blocks.
 
@@ -211,7 +218,7 @@ def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, bloc
         pictures: (N, H, W, 3) encoded.
         mask: (N, H, W).
     """
-    linear = linear_light(pictures)
+    linear = srgb_to_linear(pictures)
 
     def means(a: np.ndarray) -> np.ndarray:
         n, h, w, c = a.shape

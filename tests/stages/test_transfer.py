@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.pipeline import REGISTRY, run, stage
 
 REFERENCES = {
@@ -31,6 +32,11 @@ def curve(name: str, values: np.ndarray, **static) -> np.ndarray:
 @pytest.mark.parametrize("name", sorted(REFERENCES))
 def test_matches_colour_science(name, x64):
     np.testing.assert_allclose(curve(name, RAMP), REFERENCES[name](RAMP), atol=1e-7)
+
+
+def test_the_curve_without_a_device_is_the_same():
+    np.testing.assert_allclose(linear_to_srgb(RAMP), REFERENCES["srgb_oetf"](RAMP), atol=1e-7)
+    np.testing.assert_allclose(srgb_to_linear(RAMP), REFERENCES["srgb_eotf"](RAMP), atol=1e-7)
 
 
 @pytest.mark.parametrize("name", sorted(REFERENCES))
