@@ -154,7 +154,15 @@ class StatisticsProblem:
     def distances(self, z: np.ndarray) -> np.ndarray:
         """(N,) mean squares of what the real pictures differ in from what is simulated on average; of two
         draws, so that only the real noise is in it."""
-        one, other = (self.target - self.picture(z, k) for k in (0, 1))
+        return self._product(*(self.target - self.picture(z, k) for k in (0, 1)))
+
+    def scatter(self, z: np.ndarray) -> np.ndarray:
+        """(N,) likewise of what one simulated picture differs in from their average: the noise."""
+        one, other, third = (self.picture(z, k) for k in (0, 1, 2))
+        return self._product(third - one, third - other)
+
+    def _product(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(N,) means over pixels and channels."""
         mask = np.asarray(self.mask)
         found = (one * other * mask[..., None]).mean(-1).sum((1, 2)) / mask.sum((1, 2))
         return np.asarray(found, float)
@@ -245,6 +253,7 @@ class StatisticsProblem:
                 "p_value": _p_value(float((mean[axes == axis] ** 2).mean())),
                 "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
                 "profile": [float(v) for v in mean[axes == axis]],
+                "weights": [float(v) for v in self._weights[axes == axis]],
                 "unit": "what is harmless or chance",
             }
             for axis, own in above.items()

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.gap import prepare
+from jaxisp.gap.account import Rows
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
@@ -19,7 +20,6 @@ from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
 from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, Gap, gap_at, searched
-from jaxisp.gap.where import where
 from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
@@ -95,11 +95,10 @@ def diagnose(
     case, failed = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
     problem, first = case.problem, case.split.held_out[0]
     gap = gap_at(case)
-    located = _where(problem, case.split.held_out)
     pictures = _pictures(problem, first, "before")
     base = problem.model, problem.z.copy()
     found = searched(case, gap, tick)
-    report = _report(case, gap, found, located, base[0])
+    report = _report(case, gap, found, base[0])
     report["pairs"]["failed"] = [{"file": name, "reason": reason} for name, reason in failed]
     if downstream is not None:
         models = {"without": base, "with": (problem.model, problem.z)}
@@ -110,7 +109,7 @@ def diagnose(
     return Diagnosis(report, pictures)
 
 
-def _report(case: Case, gap: Gap, found: Found, located: list[dict[str, Any]], base: Model) -> dict[str, Any]:
+def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
     """report.json, but for the seconds and what could not be used."""
     problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
@@ -127,12 +126,12 @@ def _report(case: Case, gap: Gap, found: Found, located: list[dict[str, Any]], b
         "gap": {
             "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,
             "ci": _interval(problem, held, after),
-        },
+        } | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "ranking": ranking_rows(found.causes, found.trials, found.promises, case.absorbed, gap.scale),
-        "where": located if there else [],
-        "unexplained": _unexplained(problem, held, after, gap),
+        "where": list(found.before.rows) if there else [],
+        "unexplained": _unexplained(found, after, gap),
         "seconds": 0.0,
     }  # fmt: skip
 
@@ -241,13 +240,15 @@ def raw_case(
     return Case(RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen)
 
 
-def _where(problem: Any, held: Sequence[int]) -> list[dict[str, Any]]:
-    if hasattr(problem, "located"):  # statistics know their axes
-        return list(problem.located(held))
-    rng = np.random.default_rng(0)
-    scale = np.maximum(problem.weight[..., :1], 1e-6)
-    residual, held = problem.residual / scale, list(held)
-    return where(residual[held], problem.current[held], problem.weight[held][..., 0] ** 2, rng=rng)
+def _statistics(rows: Rows) -> dict[str, Any]:
+    """Of clean+noisy pairs each statistic's difference before any cause, in units of what is harmless or
+    chance, and how much it counts: the gap is the mean of their squares, so weighed."""
+    found = {
+        f"{row['axis']} {name}": [value, weight]
+        for row in rows
+        for name, value, weight in zip(row["bins"], row["profile"], row.get("weights", ()))
+    }
+    return {"statistics": found} if found else {}
 
 
 def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
@@ -257,12 +258,21 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
     return list(interval(problem.clustered(share * left, held), 1.0))
 
 
-def _unexplained(problem: Any, held: Sequence[int], after: float, gap: Gap) -> dict[str, Any]:
-    share = float(np.clip((after - gap.floor) / gap.scale, 0, 1))
-    left = [w for w in _where(problem, held) if w["p_value"] < 0.01 and w["share"] > 0.02][:3]
-    axes = [w["axis"] for w in left]
-    text = f"{100 * share:.0f} % of the gap is left"
-    return {"share": share, "axes": axes, "description": text + (f", on {', '.join(axes)}" if axes else "")}
+def _unexplained(found: Found, after: float, gap: Gap) -> dict[str, Any]:
+    share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.rows)
+    text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(axes)}" if axes else "")
+    row = {"share": share, "axes": axes, "description": text}
+    if found.refused is None:
+        return row
+    causes, shown = found.refused
+    closed = float((gap.before - causes[-1][0].after) / gap.scale)
+    nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.rows)}
+    return row | {"nearest": nearest}
+
+
+def _left(rows: Rows) -> list[str]:
+    """The axes that clearly have some of a gap, three at most."""
+    return [str(row["axis"]) for row in rows if row["p_value"] < 0.01 and row["share"] > 0.02][:3]
 
 
 def _pictures(problem: Any, i: int, when: str) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def with_grain(causes: Sequence[Cause], grain: Trial, floor: float) -> list[Caus
 
     What another effect leaves in flat areas is less than a leading cause, and than half of what is left.
     """
-    drop = grain.before - grain.after
+    drop = grain.gain
     if not grain.accepted or grain.closed < LEADING or drop < 0.5 * (grain.before - floor):
         return list(causes)
     first = [c for c in causes if c[0].closed >= grain.closed]

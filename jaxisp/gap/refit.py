@@ -53,6 +53,10 @@ class Trial:
     surely: float = np.inf
 
     @property
+    def gain(self) -> float:
+        return self.before - self.after
+
+    @property
     def possible(self) -> bool:
         return self.farther < FARTHEST
 

@@ -116,7 +116,7 @@ def sentence(report: Mapping[str, Any]) -> str:
     if report["verdict"] == "none":
         return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
     if report["verdict"] == "unknown" or not causes:
-        return "There is a gap, and no effect of the library explains it."
+        return f"There is a gap, and no effect of the library explains it{_nearest(report)}."
     left = unexplained(report)
     rest = f". {left}." if left else "."
     if len(causes) == 1:
@@ -127,6 +127,17 @@ def sentence(report: Mapping[str, Any]) -> str:
     return (
         f"The simulator lacks {len(causes)} effects, which close "
         f"{percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}{rest}"
+    )
+
+
+def _nearest(report: Mapping[str, Any]) -> str:
+    """What was refused as the cause, since too much shows where it did before."""
+    near = report["unexplained"].get("nearest")
+    if near is None:
+        return ""
+    left = f", which leaves it on {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
+    return (
+        f": {listed([words(n) for n in near['effects']])} would close {percent(near['closed'])} of it{left}"
     )
 
 

@@ -6,11 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxisp.gap.account import Shown, accounted, shown
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
-from jaxisp.gap.measured import Case
+from jaxisp.gap.measured import Case, Measured
+from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Whole
-from jaxisp.gap.which import Tick, search
+from jaxisp.gap.which import Terms, Tick, search
 
 MOST_CAUSES = 3
 NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
@@ -23,10 +25,6 @@ APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 statistics by what is harmless, in pixels by a share of the gap only."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
-
-ACCOUNTED = 0.5
-"""What all causes together must close where more is left than where nothing is missing: something else makes
-most of such a gap, and what closes the smaller part may be but its likeness."""
 
 
 class Gap(NamedTuple):
@@ -46,11 +44,23 @@ class Gap(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The accepted effects, each with those like it; all that were tried; what their screening promised."""
+    """What a search has found.
 
-    causes: list[Any]
+    Attributes:
+        causes: the accepted effects, each with those like it.
+        trials: all that were refitted at first.
+        promises: what screening predicted, by effect.
+        before, after: what shows of the gap without and with the causes.
+        refused: where there is no cause, those that come nearest but do not account for the gap, and what
+            shows of it with them.
+    """
+
+    causes: list[Cause]
     trials: dict[str, Any]
     promises: dict[str, float]
+    before: Shown
+    after: Shown
+    refused: tuple[list[Cause], Shown] | None = None
 
 
 def gap_at(case: Case) -> Gap:
@@ -67,30 +77,38 @@ def whole_of(case: Case, size: float) -> Whole:
 
 
 def searched(case: Case, gap: Gap, tick: Tick) -> Found:
-    """Moves the problem to where its causes take it."""
-    problem, scale, kind = case.problem, gap.scale, case.kind
-    start, model = problem.z.copy(), problem.model
+    """Moves the problem to where its causes take it: as many of those found as account for the gap."""
+    problem, scale, kind, held = case.problem, gap.scale, case.kind, case.split.held_out
+    start, before = (problem.model, problem.z.copy()), shown(problem, held)
     could = gap.exceeds(NULL_DROP[kind])  # smoothing alone can come nearer than the floor
     least = max(NULL_DROP[kind] * gap.floor / scale, LEAST_CLOSED[kind])
     most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
-    apart = APART[kind] * gap.floor / scale
-    causes, trials, promises = search(
-        problem, case.offered, case.split, whole_of(case, scale), least, most, tick, enough, apart, case.seen
-    )
-    if case.stored is not None:
-        grain = grain_trial(problem, case.stored, case.split, scale, least)
-        causes, trials = with_grain(causes, grain, gap.floor), trials | {"film_grain": grain}
-        promises["film_grain"] = grain.before - grain.after
-    if not could or not accounted(causes, gap, NULL_EXCESS[kind]):
-        causes, problem.model = [], model
-        problem.move_to(start)
-    return Found(by_closure(causes), trials, promises)
+    terms = Terms(least, most, enough, APART[kind] * gap.floor / scale, case.seen)
+    steps, trials, promises = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
+    refused: tuple[list[Cause], Shown] | None = None
+    for count in range(len(steps), -1, -1):
+        _stand_at(problem, start, steps[:count])
+        causes = steps[:count]
+        if case.stored is not None:
+            grain = grain_trial(problem, case.stored, case.split, scale, least)
+            causes = with_grain(causes, grain, gap.floor)
+            if count == len(steps):
+                trials, promises = trials | {"film_grain": grain}, promises | {"film_grain": grain.gain}
+        if could and causes:
+            after, left = shown(problem, held), causes[-1][0].after - gap.floor
+            if accounted(kind, before, after, gap.before - gap.floor, left, NULL_EXCESS[kind] * gap.floor):
+                return Found(by_closure(causes), trials, promises, before, after)
+            refused = refused or (by_closure(causes), after)
+    return Found([], trials, promises, before, before, refused)
 
 
-def accounted(causes: Sequence[Cause], gap: Gap, excess: float) -> bool:
-    """Whether the causes close enough, or leave a gap that is within `excess` of the floor."""
-    left = causes[-1][0].after if causes else gap.before
-    return left < gap.floor * (1 + excess) or gap.before - left >= ACCOUNTED * gap.scale
+def _stand_at(problem: Measured, start: tuple[Model, np.ndarray], steps: Sequence[Cause]) -> None:
+    """Put the problem where these steps have taken it from its start."""
+    problem.model, z = start
+    for trial, _ in steps:
+        problem.model = problem.model if trial.choice is None else problem.model.chosen(trial.choice)
+        z = trial.z
+    problem.move_to(z)
 
 
 def by_closure(causes: Sequence[Cause]) -> list[Cause]:
@@ -99,7 +117,7 @@ def by_closure(causes: Sequence[Cause]) -> list[Cause]:
     found: list[Cause] = []
     after = causes[-1][0].after if causes else 0.0
     for trial, alike in sorted(causes, key=lambda cause: cause[0].closed):
-        before = after + trial.before - trial.after
+        before = after + trial.gain
         found.insert(0, (dataclasses.replace(trial, before=before, after=after), alike))
         after = before
     return found

@@ -4,7 +4,7 @@ Works on anything that has the columns and errors of a `Problem`, residuals or s
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -138,29 +138,34 @@ def _alike(one: str, other: str) -> bool:
 Tick = Callable[[int, int, str], Any]
 
 
-def search(
-    problem: Measured,
-    names: Sequence[str],
-    split: Split,
-    whole: Whole,
-    least: float,
-    most: int,
-    tick: Tick,
-    enough: float = -np.inf,
-    apart: float = np.inf,
-    seen: Sequence[str] = (),
-) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
-    """Forward steps: the best effect is added and fitted, and all others are tried again.
+class Terms(NamedTuple):
+    """When an effect counts, and when it is enough.
 
-    Args:
+    Attributes:
+        least: the share of the gap that the lower end of its interval must be above.
+        most: how many are accepted at most.
         enough: the share of the gap that no other effect is looked for to close.
         apart: of `lookalikes`.
         seen: effects that the files themselves show; they are refitted whatever they promise.
+    """
+
+    least: float
+    most: int
+    enough: float = -np.inf
+    apart: float = np.inf
+    seen: Sequence[str] = ()
+
+
+def search(
+    problem: Measured, names: Sequence[str], split: Split, whole: Whole, terms: Terms, tick: Tick
+) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
+    """Forward steps: the best effect is added and fitted, and all others are tried again.
 
     Returns:
-        the accepted trials with their look-alikes, in order, at most so many; the trials of the first step;
-        what each effect promised there.
+        the accepted trials with their look-alikes, in order; the trials of the first step; what each effect
+        promised there.
     """
+    least, most, enough, apart, seen = terms
     left = list(names)
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}

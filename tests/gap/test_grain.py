@@ -10,7 +10,6 @@ from jaxisp.gap.grain import grain_trial, with_grain
 from jaxisp.gap.measured import Split
 from jaxisp.gap.refit import Trial
 from jaxisp.gap.residual import Problem, to_steps
-from jaxisp.gap.verdict import Gap, accounted, by_closure
 
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 0.47
 
@@ -75,19 +74,3 @@ def trial(before, after):
 def test_grain_must_make_half_of_what_is_left():
     assert with_grain([], trial(11.0, 7.0), 1.0) == []
     assert with_grain([], trial(11.0, 5.0), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("after", "excess", "enough"), [(5.0, 0.5, True), (7.0, 0.5, False), (7.0, 9.0, True)]
-)
-def test_causes_must_account_for_half_of_the_gap_or_leave_none(after, excess, enough):
-    assert accounted([(trial(11.0, after), [])], Gap(11.0, 1.0), excess) == enough
-
-
-def test_causes_come_by_what_they_close():
-    small, large = trial(11.0, 8.0), trial(8.0, 3.0)  # 0.3, then 0.5
-    assert by_closure([(small, ["a"])]) == [(small, ["a"])]
-    (first, alike), (second, _) = by_closure([(small, ["a"]), (large, ["b"])])
-    assert (first.before, first.after, alike) == (11.0, 6.0, ["b"]) and first.closed == large.closed
-    assert (second.before, second.after) == (6.0, 3.0)
-    assert by_closure([]) == []

@@ -195,6 +195,21 @@ def test_what_is_left_is_said_where_it_is_considerable():
     assert "block_phase" not in text
 
 
+def test_what_was_refused_as_the_cause_is_said():
+    near = {"effects": ["sharpening", "prnu"], "closed": 0.53, "axes": ["edge", "lag"]}
+    left = {"share": 1.0, "axes": ["edge"], "description": "100 % of the gap is left, on edge"}
+    unknown = {"verdict": "unknown", "causes": []}
+    start = "There is a gap, and no effect of the library explains it"
+    assert sentence(changed(**unknown, unexplained=left)) == f"{start}."
+    told = sentence(changed(**unknown, unexplained=left | {"nearest": near})).replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
+    assert told == (
+        f"{start}: sharpening and PRNU would close 53 % of it, which leaves it on edge and noise correlation."
+    )
+    assert "would close" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
+
+
 def test_fewer_than_four_pairs():
     fewer = ["a", "b"], ["c"]
     assert few_pairs(changed(pairs=dict(zip(("fit", "held_out"), fewer)))).startswith("only 3 pairs: ")

@@ -1,0 +1,76 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxisp.gap import verdict
+from jaxisp.gap.account import Shown
+from jaxisp.gap.measured import Case, Split
+from jaxisp.gap.refit import Trial, Whole
+from jaxisp.gap.verdict import Gap, by_closure, searched
+
+
+def trial(effect, z, before, after, choice=None):
+    closed = (before - after) / 10
+    return Trial(effect, np.array([z]), before, after, closed, closed - 0.05, closed + 0.05, 0.05, choice)
+
+
+class Model:
+    def __init__(self, *choices):
+        self.choices = choices
+
+    def chosen(self, choice):
+        return Model(*self.choices, choice)
+
+
+class Problem:
+    def __init__(self):
+        self.model, self.z = Model(), np.zeros(1)
+
+    def move_to(self, z):
+        self.z = z
+
+
+STEPS = [(trial("first", 1.0, 11.0, 4.0, "other"), ["alike"]), (trial("second", 2.0, 4.0, 2.0), [])]
+
+
+@pytest.mark.parametrize("holding", [0, 1, 2])
+def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
+    """A last step that only looks like a cause takes none of those before it along."""
+
+    def account(kind, before, after, gap, left, enough):
+        assert (gap, before.error) == (10.0, 0.0)
+        assert left == {1.0: 3.0, 2.0: 1.0}[after.error]  # what is left where the problem stands
+        return after.error <= holding
+
+    monkeypatch.setattr(verdict, "search", lambda problem, *rest: (STEPS, {}, {}))
+    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(float(problem.z[0]), []))
+    monkeypatch.setattr(verdict, "whole_of", lambda case, size: Whole(size, np.ones((1, 1))))
+    monkeypatch.setattr(verdict, "accounted", account)
+    problem = Problem()
+    case = Case("clean+noisy", problem, Split((0,), (1,)), np.ones(2), {}, [])
+    found = searched(case, Gap(11.0, 1.0), lambda *tick: None)
+    assert [t.effect for t, _ in found.causes] == ["first", "second"][:holding]
+    assert problem.z == holding and problem.model.choices == (("other",) if holding else ())
+    assert (found.before.error, found.after.error) == (0, holding)
+    assert (found.refused is None) == (holding > 0)  # else what all of them would close
+    if found.refused is not None:
+        causes, left = found.refused
+        assert ([t.effect for t, _ in causes], left.error) == (["first", "second"], 2.0)
+
+
+def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
+    monkeypatch.setattr(verdict, "search", lambda problem, *rest: (STEPS, {}, {}))
+    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(0.0, []))
+    monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
+    case = Case("clean+noisy", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
+    assert searched(case, Gap(1.5, 1.0), lambda *tick: None).causes == []
+
+
+def test_causes_come_by_what_they_close():
+    small, large = trial("s", 0.0, 11.0, 8.0), trial("l", 0.0, 8.0, 3.0)  # 0.3, then 0.5
+    assert by_closure([(small, ["a"])]) == [(small, ["a"])]
+    (first, alike), (second, _) = by_closure([(small, ["a"]), (large, ["b"])])
+    assert (first.before, first.after, alike) == (11.0, 6.0, ["b"]) and first.closed == large.closed
+    assert (second.before, second.after) == (6.0, 3.0)
+    assert by_closure([]) == []
