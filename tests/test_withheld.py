@@ -15,10 +15,12 @@ from experiments.withheld.bodies import BODIES, Noise
 from experiments.withheld.camera import KINDS, Shot, before_body, develop, expose
 from experiments.withheld.demosaic import DEMOSAICKERS, demosaic, mosaicked
 from experiments.withheld.libraw import SWITCHES, developed
+from experiments.withheld.outside import AXES as OUTSIDE_AXES
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
 from experiments.withheld.study import cases, examine, kept, run, true_closure
 from experiments.withheld.tables import markdown, wilson
+from jaxisp.gap.effects import AXES
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
 ALLOWED = {"numpy", "scipy", "cv2", "PIL", "skimage"}
@@ -57,6 +59,8 @@ def test_vocabulary_is_the_contract() -> None:
     assert not set(effects.DEVELOP) & set(effects.SEALED)
     assert all(len(effect.strengths) == 5 for effect in effects.EVERYTHING.values())
     assert sum(1 for _ in cases(KINDS[0], "nulls", list(BODIES), [1])) >= 100
+    assert set(OUTSIDE_AXES) == set(effects.OUTSIDE)
+    assert set().union(*OUTSIDE_AXES.values()) <= set(AXES)
 
 
 def picture(size: int = 64) -> np.ndarray:
@@ -204,6 +208,12 @@ def test_tables_count_what_was_said() -> None:
     assert "| its group first | 100% " in text
     assert "| **all** | 50% " in text
     assert true_closure(right, clear | {"gap": {"before": 1.5, "floor": 1.0}}) == 0.75
+    counting = {"a": [2.0, 1.5], "b": [0.0, 0.5]}  # a counts three times as much as b; the gap is 3
+    assert true_closure(right | {"statistics": counting}, clear | {"statistics": {}}) == 0.0
+    without = clear | {"statistics": {"a": [1.0, 1.0], "b": [1.0, 1.0]}}
+    assert true_closure(right | {"statistics": counting}, without) == 1.0
+    without["statistics"]["a"][0] = 2**0.5
+    assert true_closure(right | {"statistics": counting}, without) == pytest.approx((3 - 1.75) / 2)
     deleted = [record(n, report("effect", "sharpening"), "deleted") for n in ("optical_blur", "prnu")]
     deleted += [record("vignetting", report("unknown"), "deleted")]
     switched = [record(n, report("none"), "libraw") for n in ("plain", "vng", "medians")]
@@ -214,6 +224,11 @@ def test_tables_count_what_was_said() -> None:
     assert "| vng | demosaicking or none | (none) 1 | 100% " in text
     assert "| ppg | demosaicking or none | (unknown) 1 | 0% " in text
     assert "| medians | chroma_denoising | (none) 1 | 0% " in text
+    strangers = [record(n, report("unknown"), "outside") for n in ("flicker", "dark_outlines")]
+    strangers[0]["where"] = ["row", "lag", "edge"]
+    strangers[1]["where"] = ["row", "lag", "hue"]
+    text = markdown(strangers)
+    assert "| unknown | 100% " in text and "| right axis among the first three | 50% " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3
 

@@ -106,3 +106,17 @@ OUTSIDE = (
     _both("dithering", "levels", (64.0, 40.0, 24.0, 14.0, 8.0), "encoded", dither),
     _both("lens_ghost", "share", (0.005, 0.01, 0.02, 0.04, 0.08), "rgb", ghost, "light"),
 )
+
+AXES = {
+    "flicker": {"row"},
+    "rolling_shutter_skew": {"edge", "orientation"},
+    "date_stamp": {"fixed_pattern"},
+    "posterisation": {"intensity"},
+    "dust_spots": {"fixed_pattern"},
+    "dark_outlines": {"edge"},
+    "diagonal_filter": {"orientation", "lag"},
+    "gamut_clipping": {"saturation"},
+    "dithering": {"cfa_phase", "block_phase"},
+    "lens_ghost": {"neighbourhood"},
+}
+"""What each is a matter of: a diagnosis that does not know the effect should still name one of these."""

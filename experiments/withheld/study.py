@@ -113,8 +113,9 @@ def kept(report: Report) -> dict[str, Any]:
         "status": {r["effect"]: r["status"] for r in report["ranking"]},
         "predicted": {r["effect"]: r["predicted"] for r in report["ranking"] if r.get("ci")},
         "absorbed": report["base"].get("absorbed", {}),
-        "gap": report["gap"],
+        "gap": {name: value for name, value in report["gap"].items() if name != "statistics"},
         "where": [w["axis"] for w in report["where"][:3]],
+        "statistics": report["gap"].get("statistics", {}),
         "unexplained": report["unexplained"],
         "own_seconds": report["seconds"],
     }
@@ -124,8 +125,17 @@ def true_closure(record: dict[str, Any], plain: dict[str, Any] | None) -> float 
     """Share of the gap above the floor that the effect made: what is left is the same body's without it."""
     if plain is None or "failed" in plain or "failed" in record:
         return None
-    above = record["gap"]["before"] - record["gap"]["floor"]
-    return (record["gap"]["before"] - plain["gap"]["before"]) / above if above > 0 else None
+    before = record["gap"]["before"]
+    above = before - record["gap"]["floor"]
+    return (before - measured_alike(record, plain)) / above if above > 0 else None
+
+
+def measured_alike(record: dict[str, Any], plain: dict[str, Any]) -> float:
+    """The body's gap without its effect, as the record measures one: statistics count as they do there."""
+    counted, found = record.get("statistics"), plain.get("statistics")
+    if not counted or not found:
+        return float(plain["gap"]["before"])
+    return sum(weight * found[name][0] ** 2 for name, (_, weight) in counted.items()) / len(counted)
 
 
 def run(

@@ -17,6 +17,7 @@ from scipy.stats import norm
 
 from .effects import ABSORBABLE, GROUPS
 from .libraw import SWITCHES
+from .outside import AXES as OUTSIDE_AXES
 
 Record = dict[str, Any]
 
@@ -207,15 +208,21 @@ def nulls_section(records: list[Record]) -> str:
     return table(head, rows) + f"\nVerdicts: {verdicts}.\n"
 
 
+def axis_right(record: Record) -> bool:
+    """Whether one of the axes that the effect is defined by is among the three that have most of the gap."""
+    return bool(set(record["where"]) & OUTSIDE_AXES[truth(record)[0]])
+
+
 def outside_section(records: list[Record]) -> str:
     seen = [r for r in records if plain_to_see(r)]
     rows = [[v, *(share(x, lambda r, v=v: r["verdict"] == v) for x in (records, seen))] for v in VERDICTS]
+    rows.append(["right axis among the first three", *(share(x, axis_right) for x in (records, seen))])
     parts = [table(["verdict", "all strengths", "gap at least twice the floor"], rows)]
     axes: dict[str, Counter[str]] = defaultdict(Counter)
     for r in seen:
-        axes[truth(r)[0]].update(r["unexplained"].get("axes", [])[:2])
+        axes[truth(r)[0]].update(r["where"])
     lines = [[n, ", ".join(f"{a} {c}" for a, c in found.most_common(4))] for n, found in sorted(axes.items())]
-    return "\n".join([*parts, table(["effect", "axes named for what is left"], lines), confusion(records)])
+    return "\n".join([*parts, table(["effect", "first three axes"], lines), confusion(records)])
 
 
 def pairs_section(records: list[Record]) -> str:
