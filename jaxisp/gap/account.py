@@ -9,8 +9,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxisp.gap.effects import RAW_JPEG
-from jaxisp.gap.measured import Measured
+from jaxisp.gap.effects import EFFECTS, RAW_JPEG
+from jaxisp.gap.measured import Gap, Measured
 from jaxisp.gap.noisy_units import group_of
 
 Rows = Sequence[dict[str, Any]]
@@ -18,15 +18,16 @@ Rows = Sequence[dict[str, Any]]
 
 ACCOUNTED = {RAW_JPEG: 0.67, "clean+noisy": 0.5}
 """What all causes together must close where more is left than where nothing is missing."""
-_MAIN, _KEPT = 0.1, 0.3
-"""What share of the gap an axis must have to be one that it lies on; what share of that may be left there."""
+_MAIN, _KEPT, _SEEN = 0.1, 0.3, 0.15
+"""What share of the gap an axis must have to be one that it lies on; what share of that, and of the floor,
+may be left there."""
 _FORMLESS = ("lag", "tail", "block_phase")
 """Axes that any error of form shows on, and rounding and compression."""
 _SURE = 0.01
 _BROAD = 0.15
 """By what share the misfit of all statistics must fall. See docs/diagnosis.md for the cameras."""
-_NEAR = 0.5
-"""Share of what may be left below which it is too little to tell by."""
+_NEAR, _NEARLY_ALL = 0.75, 0.95
+"""What is left tells nothing where it is less than this share of what may be, or all but closed."""
 _FAR = 0.5
 
 
@@ -57,29 +58,39 @@ def shown(problem: Measured, held: Sequence[int]) -> Shown:
     return Shown(error, rows, float(distances[held].mean()) - scatter, scatter)
 
 
-def accounted(kind: str, before: Shown, after: Shown, gap: float, left: float, enough: float) -> bool:
+def accounted(
+    kind: str, causes: Sequence[str], before: Shown, after: Shown, gap: Gap, left: float, excess: float
+) -> bool:
     """Whether causes account for a gap.
 
     Args:
         kind: of the data.
+        causes: names of effects.
         before, after: what shows without and with them.
-        gap, left: the gap above the floor, before and after.
-        enough: what may be left, whatever they close.
+        gap: before.
+        left: the gap with them.
+        excess: the share of the floor by which a gap may be above it, whatever they close.
     """
-    if left >= enough and gap - left < ACCOUNTED[kind] * gap:
+    above, more, may = gap.before - gap.floor, left - gap.floor, excess * gap.floor
+    closed = (gap.before - left) / above
+    if more >= may and closed < ACCOUNTED[kind]:
         return False
     if kind == RAW_JPEG:
-        return not kept_axes(before, after, gap)
+        return not kept_axes(causes, before, after, gap)
     if _far(before, after):
         return False
-    return left < _NEAR * enough or misfit(after.rows) <= (1 - _BROAD) * misfit(before.rows)
+    little = more < _NEAR * may or closed >= _NEARLY_ALL
+    return little or misfit(after.rows) <= (1 - _BROAD) * misfit(before.rows)
 
 
-def kept_axes(before: Shown, after: Shown, gap: float) -> list[str]:
-    """The axes that the gap of RAW+JPEG pairs lay on and still does."""
-    then = {r["axis"]: before.error * r["share"] for r in before.rows if r["axis"] not in _FORMLESS}
-    now = {r["axis"]: after.error * r["share"] for r in after.rows if r["p_value"] < _SURE}
-    return [a for a, was in then.items() if was > _MAIN * gap and now.get(a, 0.0) > _KEPT * was]
+def kept_axes(causes: Sequence[str], before: Shown, after: Shown, gap: Gap) -> list[str]:
+    """The axes that the gap of RAW+JPEG pairs lay on and still does, though no cause shows on them: the form
+    of one that is not quite right is left on its own."""
+    own = {*_FORMLESS, *(axis for name in causes for axis in EFFECTS[name].axes)}
+    then = {row["axis"]: before.error * row["share"] for row in before.rows if row["axis"] not in own}
+    now = {row["axis"]: after.error * row["share"] for row in after.rows if row["p_value"] < _SURE}
+    main = {axis: was for axis, was in then.items() if was > _MAIN * (gap.before - gap.floor)}
+    return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT * was, _SEEN * gap.floor)]
 
 
 def misfit(rows: Rows) -> float:

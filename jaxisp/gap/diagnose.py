@@ -14,12 +14,12 @@ from jaxisp.gap.account import Rows
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
-from jaxisp.gap.measured import Case, Downstream, Split
+from jaxisp.gap.measured import Case, Downstream, Gap, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
-from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, Gap, gap_at, searched
+from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, gap_at, searched
 from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe

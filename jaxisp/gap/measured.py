@@ -4,7 +4,7 @@ import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -74,6 +74,22 @@ class Split:
 
     fit: tuple[int, ...]
     held_out: tuple[int, ...]
+
+
+class Gap(NamedTuple):
+    """On the held-out pairs, at the base."""
+
+    before: float
+    floor: float
+
+    @property
+    def scale(self) -> float:
+        """What counts as the whole of it."""
+        return max(self.before - self.floor, 0.02 * self.floor, 1e-6)
+
+    def exceeds(self, share: float) -> bool:
+        """Whether it is above the floor by this share of it."""
+        return self.before >= self.floor * (1 + share)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxisp.gap.account import Shown, accounted, shown
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
-from jaxisp.gap.measured import Case, Measured
+from jaxisp.gap.measured import Case, Gap, Measured
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Whole
 from jaxisp.gap.which import Terms, Tick, search
@@ -25,22 +25,6 @@ APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 statistics by what is harmless, in pixels by a share of the gap only."""
 LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
-
-
-class Gap(NamedTuple):
-    """On the held-out pairs, at the base."""
-
-    before: float
-    floor: float
-
-    @property
-    def scale(self) -> float:
-        """What counts as the whole of it."""
-        return max(self.before - self.floor, 0.02 * self.floor, 1e-6)
-
-    def exceeds(self, share: float) -> bool:
-        """Whether it is above the floor by this share of it."""
-        return self.before >= self.floor * (1 + share)
 
 
 class Found(NamedTuple):
@@ -95,8 +79,8 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
             if count == len(steps):
                 trials, promises = trials | {"film_grain": grain}, promises | {"film_grain": grain.gain}
         if could and causes:
-            after, left = shown(problem, held), causes[-1][0].after - gap.floor
-            if accounted(kind, before, after, gap.before - gap.floor, left, NULL_EXCESS[kind] * gap.floor):
+            after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
+            if accounted(kind, names, before, after, gap, left, NULL_EXCESS[kind]):
                 return Found(by_closure(causes), trials, promises, before, after)
             refused = refused or (by_closure(causes), after)
     return Found([], trials, promises, before, before, refused)

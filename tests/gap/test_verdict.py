@@ -5,9 +5,9 @@ import pytest
 
 from jaxisp.gap import verdict
 from jaxisp.gap.account import Shown
-from jaxisp.gap.measured import Case, Split
+from jaxisp.gap.measured import Case, Gap, Split
 from jaxisp.gap.refit import Trial, Whole
-from jaxisp.gap.verdict import Gap, by_closure, searched
+from jaxisp.gap.verdict import by_closure, searched
 
 
 def trial(effect, z, before, after, choice=None):
@@ -38,9 +38,10 @@ STEPS = [(trial("first", 1.0, 11.0, 4.0, "other"), ["alike"]), (trial("second", 
 def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
     """A last step that only looks like a cause takes none of those before it along."""
 
-    def account(kind, before, after, gap, left, enough):
-        assert (gap, before.error) == (10.0, 0.0)
-        assert left == {1.0: 3.0, 2.0: 1.0}[after.error]  # what is left where the problem stands
+    def account(kind, names, before, after, gap, left, excess):
+        assert (gap, before.error) == (Gap(11.0, 1.0), 0.0)
+        assert left == {1.0: 4.0, 2.0: 2.0}[after.error]  # what is left where the problem stands
+        assert names == ["first", "second"][: int(after.error)]
         return after.error <= holding
 
     monkeypatch.setattr(verdict, "search", lambda problem, *rest: (STEPS, {}, {}))
