@@ -208,12 +208,14 @@ def test_tables_count_what_was_said() -> None:
     assert "| its group first | 100% " in text
     assert "| **all** | 50% " in text
     assert true_closure(right, clear | {"gap": {"before": 1.5, "floor": 1.0}}) == 0.75
-    counting = {"a": [2.0, 1.5], "b": [0.0, 0.5]}  # a counts three times as much as b; the gap is 3
-    assert true_closure(right | {"statistics": counting}, clear | {"statistics": {}}) == 0.0
-    without = clear | {"statistics": {"a": [1.0, 1.0], "b": [1.0, 1.0]}}
-    assert true_closure(right | {"statistics": counting}, without) == 1.0
-    without["statistics"]["a"][0] = 2**0.5
-    assert true_closure(right | {"statistics": counting}, without) == pytest.approx((3 - 1.75) / 2)
+    counting = {"statistics": [[2.0, 1.5], [0.0, 0.5]]}  # the first counts three times as much; the gap is 3
+    assert true_closure(right | counting, clear | {"statistics": []}) == 0.0
+    assert true_closure(right | counting, clear | {"statistics": [[1.0, 1.0], [1.0, 1.0]]}) == 1.0
+    without = clear | {"statistics": [[2**0.5, 1.0], [1.0, 1.0]]}
+    assert true_closure(right | counting, without) == pytest.approx((3 - 1.75) / 2)
+    said = report("none")
+    said["gap"]["statistics"] = {"b": [0.0, 0.5], "a": [2.00001, 1.5]}
+    assert kept(said)["statistics"] == counting["statistics"] and "statistics" not in kept(said)["gap"]
     deleted = [record(n, report("effect", "sharpening"), "deleted") for n in ("optical_blur", "prnu")]
     deleted += [record("vignetting", report("unknown"), "deleted")]
     switched = [record(n, report("none"), "libraw") for n in ("plain", "vng", "medians")]

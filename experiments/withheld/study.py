@@ -102,7 +102,7 @@ def examine(case: Case, diagnose: Diagnose, size: int = 256, count: int = 8) -> 
 
 
 def kept(report: Report) -> dict[str, Any]:
-    causes = report["causes"]
+    causes, counted = report["causes"], report["gap"].get("statistics", {})
     return {
         "verdict": report["verdict"],
         "causes": [c["effect"] for c in causes],
@@ -115,7 +115,7 @@ def kept(report: Report) -> dict[str, Any]:
         "absorbed": report["base"].get("absorbed", {}),
         "gap": {name: value for name, value in report["gap"].items() if name != "statistics"},
         "where": [w["axis"] for w in report["where"][:3]],
-        "statistics": report["gap"].get("statistics", {}),
+        "statistics": [[round(v, 4) for v in own] for _, own in sorted(counted.items())],
         "unexplained": report["unexplained"],
         "own_seconds": report["seconds"],
     }
@@ -135,7 +135,7 @@ def measured_alike(record: dict[str, Any], plain: dict[str, Any]) -> float:
     counted, found = record.get("statistics"), plain.get("statistics")
     if not counted or not found:
         return float(plain["gap"]["before"])
-    return sum(weight * found[name][0] ** 2 for name, (_, weight) in counted.items()) / len(counted)
+    return sum(weight * value**2 for (_, weight), (value, _) in zip(counted, found)) / len(counted)
 
 
 def run(

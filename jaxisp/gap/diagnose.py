@@ -79,8 +79,9 @@ def diagnose(
             included. What it draws for each image it leaves open: that starts at its median and is fitted
             within the range of its prior, one value for all pairs.
         exclude: names of effects that are not tried.
-        downstream: how to train small denoisers without and with the accepted effects, measured on the
-            held-out pairs; needs clean+noisy pairs, two scenes or more. None: that is left out.
+        downstream: how to train small denoisers without and with the accepted effects, or with what comes
+            nearest, measured on the held-out pairs; needs clean+noisy pairs, two scenes or more. None: that
+            is left out.
         seed: of the simulated noise.
         tick: called with (done, total, text).
 
@@ -101,8 +102,7 @@ def diagnose(
     report = _report(case, gap, found, base[0])
     report["pairs"]["failed"] = [{"file": name, "reason": reason} for name, reason in failed]
     if downstream is not None:
-        models = {"without": base, "with": (problem.model, problem.z)}
-        report["downstream"] = _trained(case, models, downstream, tick) if found.causes else _NOTHING_TO_TRAIN
+        report["downstream"] = _trained(case, base, found, downstream, tick)
     none = {"after": None, "residual_after": None}
     pictures |= _pictures(problem, first, "after") if found.causes else none
     report["seconds"] = round(time.perf_counter() - clock, 2)
@@ -172,13 +172,21 @@ def _case(
 
 
 _LEFT_OUT = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
-_NOTHING_TO_TRAIN = {"skipped": "no effect was accepted: there is nothing to train with and without"}
 
 
-def _trained(case: Case, models: dict[str, Any], how: Downstream, tick: Tick) -> dict[str, Any]:
+def _trained(
+    case: Case, base: tuple[Model, np.ndarray], found: Found, how: Downstream, tick: Tick
+) -> dict[str, Any]:
+    """Denoisers without and with the causes, or with what comes nearest where there is none."""
     from jaxisp.gap.downstream import measure_downstream
 
-    return measure_downstream(case, models, how, tick)
+    near, problem = found.refused, case.problem
+    if not found.causes and near is None:
+        return {"skipped": "no effect comes near: there is nothing to train with and without"}
+    place = (problem.model, problem.z) if near is None else (near.model, near.z)
+    named = found.causes if near is None else near.causes
+    measured = measure_downstream(case, {"without": base, "with": place}, how, tick)
+    return measured | {"effects": [trial.effect for trial, _ in named]}
 
 
 def diagnose_folder(folder: str | Path, **options: Any) -> dict[str, Any]:
@@ -264,7 +272,7 @@ def _unexplained(found: Found, after: float, gap: Gap) -> dict[str, Any]:
     row = {"share": share, "axes": axes, "description": text}
     if found.refused is None:
         return row
-    causes, shown = found.refused
+    causes, shown = found.refused.causes, found.refused.after
     closed = float((gap.before - causes[-1][0].after) / gap.scale)
     nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.rows)}
     return row | {"nearest": nearest}

@@ -116,7 +116,7 @@ def sentence(report: Mapping[str, Any]) -> str:
     if report["verdict"] == "none":
         return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
     if report["verdict"] == "unknown" or not causes:
-        return f"There is a gap, and no effect of the library explains it{_nearest(report)}."
+        return f"There is a gap, and no effect of the library explains it.{_nearest(report)}"
     left = unexplained(report)
     rest = f". {left}." if left else "."
     if len(causes) == 1:
@@ -135,9 +135,9 @@ def _nearest(report: Mapping[str, Any]) -> str:
     near = report["unexplained"].get("nearest")
     if near is None:
         return ""
-    left = f", which leaves it on {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
+    left = f" and leave {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
     return (
-        f": {listed([words(n) for n in near['effects']])} would close {percent(near['closed'])} of it{left}"
+        f" Nearest: {listed([words(n) for n in near['effects']])}, to close {percent(near['closed'])}{left}."
     )
 
 

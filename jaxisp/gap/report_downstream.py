@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+from jaxisp.gap.report_words import listed, words
+
 _ARMS = {
-    "without": "simulated pairs, without the effects",
-    "with": "simulated pairs, with the effects",
+    "without": "simulated pairs, without {effects}",
+    "with": "simulated pairs, with {effects}",
     "real": "the real pairs that were fitted",
 }
 
@@ -14,9 +16,10 @@ def downstream_part(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """What the page shows of the report's "downstream"; None where it has none."""
     if found is None or "skipped" in found:
         return None if found is None else dict(found)
+    effects = listed([words(name) for name in found.get("effects", ())]) or "the effects"
     rows = [_row("nothing: the noisy pictures", found["input"])]
-    rows += [_row(_ARMS.get(name, name), arm) for name, arm in found["arms"].items()]
-    return {"rows": rows, "text": _sentence(found["gain"]), "how": _how(found)}
+    rows += [_row(_ARMS.get(name, name).format(effects=effects), arm) for name, arm in found["arms"].items()]
+    return {"rows": rows, "text": _sentence(found["gain"], effects), "how": _how(found)}
 
 
 def _row(name: str, arm: Mapping[str, Any]) -> dict[str, str]:
@@ -33,10 +36,10 @@ def _row(name: str, arm: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _sentence(gain: Mapping[str, Any]) -> str:
+def _sentence(gain: Mapping[str, Any], effects: str) -> str:
     own, real = gain["with"], gain["real"]
     text = (
-        f"Trained with the effects, a denoiser changes by {own['psnr_mean']:+.2f} dB "
+        f"Trained with {effects}, a denoiser changes by {own['psnr_mean']:+.2f} dB "
         f"(spread over seeds {own['psnr_spread']:.2f}) and {own['ssim_mean']:+.4f} SSIM on held-out pairs."
     )
     return f"{text} Trained on as many real pairs it changes by {real['psnr_mean']:+.2f} dB."

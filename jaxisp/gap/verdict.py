@@ -27,6 +27,16 @@ LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
 """What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
 
 
+class Refused(NamedTuple):
+    """What comes nearest but does not account for the gap: causes, what shows with them, and the model and
+    the point that they take the problem to."""
+
+    causes: list[Cause]
+    after: Shown
+    model: Model
+    z: np.ndarray
+
+
 class Found(NamedTuple):
     """What a search has found.
 
@@ -35,8 +45,7 @@ class Found(NamedTuple):
         trials: all that were refitted at first.
         promises: what screening predicted, by effect.
         before, after: what shows of the gap without and with the causes.
-        refused: where there is no cause, those that come nearest but do not account for the gap, and what
-            shows of it with them.
+        refused: where there is no cause, what comes nearest.
     """
 
     causes: list[Cause]
@@ -44,7 +53,7 @@ class Found(NamedTuple):
     promises: dict[str, float]
     before: Shown
     after: Shown
-    refused: tuple[list[Cause], Shown] | None = None
+    refused: Refused | None = None
 
 
 def gap_at(case: Case) -> Gap:
@@ -69,7 +78,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
     terms = Terms(least, most, enough, APART[kind] * gap.floor / scale, case.seen)
     steps, trials, promises = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
-    refused: tuple[list[Cause], Shown] | None = None
+    refused: Refused | None = None
     for count in range(len(steps), -1, -1):
         _stand_at(problem, start, steps[:count])
         causes = steps[:count]
@@ -82,7 +91,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
             after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
             if accounted(kind, names, before, after, gap, left, NULL_EXCESS[kind]):
                 return Found(by_closure(causes), trials, promises, before, after)
-            refused = refused or (by_closure(causes), after)
+            refused = refused or Refused(by_closure(causes), after, problem.model, problem.z.copy())
     return Found([], trials, promises, before, before, refused)
 
 

@@ -199,15 +199,15 @@ def test_what_was_refused_as_the_cause_is_said():
     near = {"effects": ["sharpening", "prnu"], "closed": 0.53, "axes": ["edge", "lag"]}
     left = {"share": 1.0, "axes": ["edge"], "description": "100 % of the gap is left, on edge"}
     unknown = {"verdict": "unknown", "causes": []}
-    start = "There is a gap, and no effect of the library explains it"
-    assert sentence(changed(**unknown, unexplained=left)) == f"{start}."
+    start = "There is a gap, and no effect of the library explains it."
+    assert sentence(changed(**unknown, unexplained=left)) == start
     told = sentence(changed(**unknown, unexplained=left | {"nearest": near})).replace(
         "\N{NO-BREAK SPACE}", " "
     )
-    assert told == (
-        f"{start}: sharpening and PRNU would close 53 % of it, which leaves it on edge and noise correlation."
+    assert (
+        told == f"{start} Nearest: sharpening and PRNU, to close 53 % and leave edge and noise correlation."
     )
-    assert "would close" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
+    assert "Nearest: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
 
 
 def test_fewer_than_four_pairs():

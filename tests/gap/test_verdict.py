@@ -56,8 +56,9 @@ def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
     assert (found.before.error, found.after.error) == (0, holding)
     assert (found.refused is None) == (holding > 0)  # else what all of them would close
     if found.refused is not None:
-        causes, left = found.refused
-        assert ([t.effect for t, _ in causes], left.error) == (["first", "second"], 2.0)
+        near = found.refused
+        assert ([t.effect for t, _ in near.causes], near.after.error) == (["first", "second"], 2.0)
+        assert (near.model.choices, near.z) == (("other",), 2.0)
 
 
 def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
