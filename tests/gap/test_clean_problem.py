@@ -53,7 +53,11 @@ def quiet(model, z):
 def test_at_the_truth_only_the_noise_of_the_pictures_is_left(problem):
     z = distorted(problem.model, problem.z)
     draws = np.stack([problem.picture(z, k) for k in range(2, 8)])
-    np.testing.assert_allclose(problem.distances(z), draws.var(0, ddof=1).mean((1, 2, 3)), rtol=0.06)
+    noise = draws.var(0, ddof=1).mean((1, 2, 3))
+    np.testing.assert_allclose(problem.distances(z), noise, rtol=0.06)
+    np.testing.assert_allclose(problem.scatter(z), noise, rtol=0.06)
+    at_rest = problem.distances(problem.z) - problem.scatter(problem.z)  # of edges that are elsewhere
+    assert (at_rest > 0.3 * noise).all()
 
 
 def test_a_warp_the_wrong_way_is_farther_than_none(problem):
