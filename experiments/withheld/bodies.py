@@ -175,4 +175,4 @@ BODIES = {
     )
 }  # fmt: skip
 LATER = ("fir", "ginkgo", "hazel")
-"""Bodies that came last, and were run when what decides was settled: see docs/diagnosis.md."""
+"""Bodies that came last; what is refused was settled with their results known (docs/diagnosis.md)."""

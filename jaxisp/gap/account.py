@@ -9,14 +9,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxisp.gap.effects import EFFECTS, RAW_JPEG
+from jaxisp.gap.effects import CLEAN_NOISY, EFFECTS, RAW_JPEG
 from jaxisp.gap.measured import Gap, Measured
 from jaxisp.gap.noisy_units import group_of
 
 Rows = Sequence[dict[str, Any]]
 """Axes, as `where` of report.json has them."""
 
-ACCOUNTED = {RAW_JPEG: 0.67, "clean+noisy": 0.5}
+ACCOUNTED = {RAW_JPEG: 0.67, CLEAN_NOISY: 0.5}
 """What all causes together must close where more is left than where nothing is missing."""
 _MAIN, _KEPT, _SEEN = 0.1, 0.3, 0.15
 """What share of the gap an axis must have to be one that it lies on; what share of that, and of the floor,
@@ -24,11 +24,13 @@ may be left there."""
 _FORMLESS = ("lag", "tail", "block_phase")
 """Axes that any error of form shows on, and rounding and compression."""
 _SURE = 0.01
+"""The p-value below which an axis has something left."""
 _BROAD = 0.15
 """By what share the misfit of all statistics must fall. See docs/diagnosis.md for the cameras."""
 _NEAR, _NEARLY_ALL = 0.75, 0.95
 """What is left tells nothing where it is less than this share of what may be, or all but closed."""
 _FAR = 0.5
+"""What share of a bias above the noise may be left."""
 
 
 class Shown(NamedTuple):
@@ -71,8 +73,7 @@ def accounted(
         left: the gap with them.
         excess: the share of the floor by which a gap may be above it, whatever they close.
     """
-    above, more, may = gap.before - gap.floor, left - gap.floor, excess * gap.floor
-    closed = (gap.before - left) / above
+    more, may, closed = left - gap.floor, excess * gap.floor, (gap.before - left) / gap.scale
     if more >= may and closed < ACCOUNTED[kind]:
         return False
     if kind == RAW_JPEG:
@@ -89,7 +90,7 @@ def kept_axes(causes: Sequence[str], before: Shown, after: Shown, gap: Gap) -> l
     own = {*_FORMLESS, *(axis for name in causes for axis in EFFECTS[name].axes)}
     then = {row["axis"]: before.error * row["share"] for row in before.rows if row["axis"] not in own}
     now = {row["axis"]: after.error * row["share"] for row in after.rows if row["p_value"] < _SURE}
-    main = {axis: was for axis, was in then.items() if was > _MAIN * (gap.before - gap.floor)}
+    main = {axis: was for axis, was in then.items() if was > _MAIN * gap.scale}
     return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT * was, _SEEN * gap.floor)]
 
 

@@ -9,9 +9,12 @@ from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import Downstream, downstream
+from jaxisp.gap.account import Shown
+from jaxisp.gap.diagnose import _trained
 from jaxisp.gap.downstream import measure_downstream
 from jaxisp.gap.measured import Case, Split
 from jaxisp.gap.report_downstream import downstream_part
+from jaxisp.gap.verdict import Found, Refused
 from tests.gap.scenes import scenes
 
 NOISE = 0.15
@@ -94,3 +97,17 @@ def test_it_needs_clean_pictures(tmp_path, capsys):
     assert "clean+noisy" in capsys.readouterr().err
     with pytest.raises(InputError, match="0 steps"):
         Downstream(steps=0)
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_denoisers_are_trained_with_what_comes_nearest_where_nothing_is_accepted(monkeypatch, accepted):
+    cause = SimpleNamespace(effect="prnu"), []
+    near = None if accepted else Refused([cause], Shown(0.0, []), "near", np.ones(1))
+    found = Found([cause] if accepted else [], {}, {}, Shown(0.0, []), Shown(0.0, []), near)
+    monkeypatch.setattr("jaxisp.gap.downstream.measure_downstream", lambda case, models, *rest: models)
+    case = SimpleNamespace(problem=SimpleNamespace(model="here", z=np.zeros(1)))
+    arms = _trained(case, ("base", np.zeros(1)), found, Downstream(), nothing)
+    assert (arms["without"][0], arms["with"][0]) == ("base", "here" if accepted else "near")
+    assert arms["effects"] == ["prnu"]
+    none = Found([], {}, {}, Shown(0.0, []), Shown(0.0, []))
+    assert "skipped" in _trained(case, ("base", np.zeros(1)), none, Downstream(), nothing)
