@@ -24,10 +24,11 @@ class HotPixels:
 
 @register
 def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int | None = None) -> Mosaic:
-    """Set photosites at random places to a high level, each to its own, and some of them to none.
+    """Set photosites at random places to a high level at least, each to its own, and some of them to none.
 
-    `y = level (1 - spread (v - dead) / (1 - dead)) where u < density else x`, but 0 where v < dead too; u and
-    v uniform on [0, 1) per photosite: more density keeps the places that are hot already.
+    `y = max(x, level (1 - spread (v - dead) / (1 - dead))) where u < density else x`, but 0 where v < dead
+    too; u and v uniform on [0, 1) per photosite: more density keeps the places that are hot already. A hot
+    site collects what leaks into it beside its light: it reads no less than that.
 
     Args:
         params: density, level, spread and dead.
@@ -46,7 +47,8 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
     key = pattern_key(key, sensor, "hot_pixels")
     v = jax.random.uniform(jax.random.fold_in(key, 1), image.shape)
     place = (v - params.dead) / jnp.maximum(1 - params.dead, 1e-6)
-    level = jnp.where(v < params.dead, 0, params.level * (1 - params.spread * place))
+    high = jnp.maximum(params.level * (1 - params.spread * place), image)
+    level = jnp.where(v < params.dead, 0, high)
     return _stuck(image, key, params.density, level)
 
 

@@ -56,6 +56,9 @@ def test_levels_of_hot_photosites_spread_evenly():
     alive = both[(got > 0) & (both > 0)]
     assert abs((both == 0).sum() / (got > 0).sum() - 0.3) < 4 * np.sqrt(0.21 / (got > 0).sum())
     assert scipy.stats.kstest(alive, scipy.stats.uniform(0.4, 0.4).cdf).pvalue > 0.01
+    bright = np.asarray(defects.hot_pixels(some, image + 0.7, key=jax.random.key(3)))  # light is not lost
+    np.testing.assert_allclose(bright[both > 0], np.maximum(both[both > 0], 0.7))
+    assert (bright[both == 0] == 0).all()
     one = dataclasses.replace(params, spread=np.float32(0))
     same = np.asarray(defects.hot_pixels(one, image, key=jax.random.key(3)))
     assert ((same > 0) == (got > 0)).all() and set(np.unique(same)) == {0, np.float32(0.8)}
