@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -10,15 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap import noisy_tones as tones
 from jaxisp.gap.measured import Part, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.noisy_pairs import by_scene, scene_name
 from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts
-from jaxisp.gap.noisy_units import axis_of, emphasised, noise_only, repeats, tolerances, weights
+from jaxisp.gap.noisy_units import axis_of, emphasis, emphasised, noise_only, repeats, units, weights
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
-from jaxisp.gap.statistics import feature_names, features, frames_of
+from jaxisp.gap.statistics import feature_names, features, frames_of, mean_features
 
 _REPLICATES = 4
 _FEWEST = 4  # scenes that tell how they differ
@@ -33,6 +35,8 @@ class StatisticsProblem:
     """
 
     references: Mapping[int, float] = MappingProxyType({})
+    difference: np.ndarray
+    _scale: np.ndarray
 
     def __init__(
         self,
@@ -55,13 +59,17 @@ class StatisticsProblem:
         self._maps = normalised_regressors(self.base_picture, self.mask)
         self._codes = seen
         self._weights, self._counted = weights(), np.ones_like(weights())
+        self._emphasis: np.ndarray | None = None
+        self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
         self.fresh: Sequence[int] = noise_indices(model)
         self.real = self.measured(self.target)
         self.floors = np.ones(len(pairs.names))
         self._numbers = list(range(len(pairs.names)))  # of the keys
-        self._simulated = self.real
+        self._tones = tones.of(self.target, self.mask)
+        self._simulated, self._toned = self.real, self._tones
+        self.z = np.zeros(len(model.coordinates))
         self._set_scale(np.ones_like(self.real))  # until it is measured, chance is alike for all
-        self.move_to(np.zeros(len(model.coordinates)))
+        self.move_to(self.z)
 
     def keys(self, replicate: int = 0) -> jax.Array:
         root = jax.random.fold_in(jax.random.key(self.seed), replicate)
@@ -78,9 +86,23 @@ class StatisticsProblem:
         """(N, F) statistics of a simulated set."""
         return self.measured(self.picture(z, replicate))
 
-    def measured(self, pictures: np.ndarray) -> np.ndarray:
-        """(N, F) statistics of pictures in steps, their border cut off."""
-        scene = (self.base_picture, self.mask, self._maps, self._frames, self._codes)
+    def _seen(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(N, F) statistics and (N, T) tones of a simulated set, these and the mean's statistics without the
+        effects that are noise: where a pattern has its pixels is chance, and the same in all pictures."""
+        picture, still = self.picture(z), self.model.still(z)
+        found = self.measured(picture)
+        if (still != z).any():
+            picture = self.picture(still)
+            means = mean_features(jnp.asarray(picture), self.base_picture, self.mask, self._maps)
+            found[:, : means.shape[1]] = means
+        return found, tones.of(picture, self.mask)
+
+    def measured(self, pictures: np.ndarray, part: tuple[slice, slice] | None = None) -> np.ndarray:
+        """(N, F) statistics of pictures in steps, their border cut off; of a part of the frame, or all."""
+        mask = self.mask
+        if part is not None:
+            mask = jnp.zeros_like(mask).at[:, *part].set(mask[:, *part])
+        scene = (self.base_picture, mask, self._maps, self._frames, self._codes)
         found = features(jnp.asarray(pictures), *scene)
         return np.asarray(found, float)
 
@@ -91,9 +113,9 @@ class StatisticsProblem:
         self._set_scale(draws.var(0, ddof=1))
         self.move_to(self.z)
         if emphasise:
-            fitted = self.difference[self.split.fit[0]]
-            self._weights = emphasised(fitted**2 / self._weights)
-            self._set_scale(draws.var(0, ddof=1))
+            self._emphasis = emphasis(self.difference[self.split.fit[0]] ** 2 / self._weights)
+            plain, self._weights = self._weights, emphasised(self._emphasis)
+            self._scale = self._scale * np.sqrt(self._weights / plain)
             self.move_to(self.z)
 
     def count(self, which: np.ndarray) -> None:
@@ -110,8 +132,8 @@ class StatisticsProblem:
         shares = counted / self._mean(counted)
         sizes = np.array([len(self._half(i)) for i in range(len(chance))])[:, None]
         scatter = 2 * repeats() * self._mean(shares**2 * chance) / sizes
-        scatter = np.maximum(scatter, self._unlike(shares))
-        self._scale = shares / np.sqrt(tolerances() ** 2 + scatter) * np.sqrt(self._weights)
+        squares = units(np.maximum(scatter, self._unlike(shares)), self._uneven(shares))
+        self._scale = shares * np.sqrt(self._weights / squares)
 
     def _unlike(self, shares: np.ndarray) -> np.ndarray:
         """(N, F) how the mean's error, which follows what a scene shows and where, scatters from scene to
@@ -122,6 +144,24 @@ class StatisticsProblem:
         apart = shares * (self.real - self._simulated)
         variance = ((apart - apart.mean(0)) ** 2).sum(0) / (len(apart) - 1) * (1 - noise_only())
         return np.stack([variance / len({scenes[k] for k in self._half(i)}) for i in range(len(scenes))])
+
+    def _uneven(self, shares: np.ndarray) -> np.ndarray:
+        """(N, F) how the noise's statistics differ from quarter to quarter of the frame: the variance of
+        their mean over a half. Hot pixels are few, and the same in all pictures. 0 for the mean's."""
+        found = [
+            self._mean(shares * own) for own in self._real_quarters - self._quarters(self.picture(self.z))
+        ]
+        return np.var(found, 0, ddof=1) / len(found) * noise_only()
+
+    @functools.cached_property
+    def _real_quarters(self) -> np.ndarray:
+        return self._quarters(self.target)
+
+    def _quarters(self, pictures: np.ndarray) -> np.ndarray:
+        """(4, N, F) statistics of each quarter of the frame."""
+        height, width = (n // 2 for n in self.mask.shape[1:])
+        sides = [slice(None, height), slice(height, None)], [slice(None, width), slice(width, None)]
+        return np.stack([self.measured(pictures, part) for part in itertools.product(*sides)])
 
     def _half(self, pair: int) -> list[int]:
         return list(self.split.fit if pair in self.split.fit else self.split.held_out)
@@ -148,8 +188,19 @@ class StatisticsProblem:
 
     def errors(self, z: np.ndarray) -> np.ndarray:
         """(N,) each pair's part in the square of its half's mean difference, the mean of these parts."""
-        own = self._scale * self._counted * (self.real - self.simulated(z))
-        return (own * self._mean(own)).mean(1)
+        simulated, toned = self._seen(z)
+        own = self._scale * self._counted * (self.real - simulated)
+        mean = self._mean(own)
+        found = (own * mean * self._spoiled(mean) ** 2).mean(1)
+        return found if self._before is None else found * tones.excess(self._tones - toned, self._before)
+
+    def _spoiled(self, difference: np.ndarray) -> np.ndarray:
+        """(N, F) of at least one: what a difference is multiplied by where a fit must not spoil what was
+        right: then it counts as much as what was as wrong at the base."""
+        if self._before is None or self._emphasis is None:
+            return np.ones_like(difference)
+        now = emphasis(difference**2 / self._weights)
+        return np.sqrt(np.maximum(now / self._emphasis, 1.0))
 
     def distances(self, z: np.ndarray) -> np.ndarray:
         """(N,) mean squares of what the real pictures differ in from what is simulated on average; of two
@@ -169,7 +220,7 @@ class StatisticsProblem:
 
     def move_to(self, z: np.ndarray) -> None:
         self.z = np.asarray(z, float)
-        self._simulated = self.simulated(self.z)
+        self._simulated, self._toned = self._seen(self.z)
         self.difference = self._mean(self._scale * self._counted * (self.real - self._simulated))
         self.columns: dict[int, np.ndarray] = {}
 
@@ -206,7 +257,8 @@ class StatisticsProblem:
         part, index = copy.copy(self), list(which)
         part.__dict__.update(self._fitted)
         part._scale = self._scale[index]
-        part._simulated = part.simulated(part.z)
+        part._simulated, part._toned = part._seen(part.z)
+        part._before = part._tones - part._toned
         part.difference = part._mean(part._scale * part._counted * (part.real - part._simulated))
         part.columns = {i: column[index] for i, column in self.columns.items()}
         return part
@@ -216,7 +268,10 @@ class StatisticsProblem:
         """What a problem of the fitted pairs alone has in place of the whole one's."""
         index = list(self.split.fit)
         own: dict[str, Any] = {"pairs": self.pairs.take(index), "split": Split(tuple(range(len(index))), ())}
-        own |= {name: getattr(self, name)[np.array(index)] for name in ("mask", "base_picture", "target")}
+        own |= {
+            name: getattr(self, name)[np.array(index)]
+            for name in ("mask", "base_picture", "target", "_tones")
+        }
         own["_maps"] = [self._maps[i] for i in index]
         own["_frames"] = frames_of([scene_name(name) for name in own["pairs"].names])
         own["_numbers"] = index
@@ -227,16 +282,24 @@ class StatisticsProblem:
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         for i in set(which) - set(self.columns):
             behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
-            before = self._simulated if (behind == self.z).all() else self.simulated(behind)
-            change = self.simulated(ahead) - before
-            self.columns[i] = self._mean(self._scale * self._counted * change) / step
+            here = (behind == self.z).all()
+            before = (self._simulated, self._toned) if here else self._seen(behind)
+            change, moved = (a - b for a, b in zip(self._seen(ahead), before))
+            own = self._mean(self._scale * self._counted * change)
+            self.columns[i] = np.concatenate([own, moved], 1) / step
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        stacked = np.stack([self.columns[i] for i in which], 1)
-        count = stacked.shape[-1]
-        return stacked @ stacked.transpose(0, 2, 1) / count, np.einsum(
-            "nkf,nf->nk", stacked, self.difference
-        ) / count
+        spoiled = self._spoiled(self.difference)
+        count = spoiled.shape[1]
+        columns = np.stack([self.columns[i] for i in which], 1)
+        stacked = columns[..., :count] * spoiled[:, None]
+        gram = stacked @ stacked.transpose(0, 2, 1) / count
+        slope = np.einsum("nkf,nf->nk", stacked, self.difference * spoiled) / count
+        if self._before is None:
+            return gram, slope
+        error = float(((self.difference * spoiled) ** 2).mean())
+        off = self._tones - self._toned
+        return tones.beside((gram, slope), error, columns[..., count:], off, self._before)
 
     def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
         """The axes by their share of what the gap at the point has above what is harmless and chance."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxisp.camera import with_cfa
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
-from jaxisp.gap.effects import Effect, Move
+from jaxisp.gap.effects import EFFECTS, Effect, Move
 from jaxisp.gap.staged import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import ChromaSubsampling
@@ -82,6 +82,12 @@ class Model:
     @property
     def base_indices(self) -> list[int]:
         return list(range(len(self.base)))
+
+    def still(self, z: np.ndarray) -> np.ndarray:
+        """The point with the effects off that are noise."""
+        found = z.copy()
+        found[self.indices(name for name in self.effects if EFFECTS[name].random)] = 0.0
+        return found
 
     @functools.cached_property
     def ranges(self) -> np.ndarray:

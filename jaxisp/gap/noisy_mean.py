@@ -76,6 +76,8 @@ def _of_luma(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
     for name, (down, across) in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
         moved = [jnp.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
         maps[f"orientation {name}"] = 0, smooth - 0.5 * (moved[0] + moved[1])
+    # halos that are all dark, or all bright
+    maps["edge asymmetry"] = 0, jnp.abs(y - gaussian_blur(y, 1.5, 5))
     maps["neighbourhood base"] = 0, y * (mean - mean.mean()) / 255
     maps["neighbourhood detail"] = 0, y - mean
     return maps

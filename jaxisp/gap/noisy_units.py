@@ -57,13 +57,48 @@ def noise_only() -> np.ndarray:
     return np.array([float(not name.startswith("mean")) for name in feature_names()])
 
 
-def emphasised(squares: np.ndarray) -> np.ndarray:
-    """(F,) `weights` where what has more of the gap counts more: one statistic shall not drown in many.
+@functools.cache
+def of_few_pixels() -> np.ndarray:
+    """(F,) 1 for the statistics that a few pixels decide on: of tails, and of what repeats."""
+    return np.array([float(name.startswith(("tail", "pattern"))) for name in feature_names()])
+
+
+def _by_group(values: np.ndarray) -> np.ndarray:
+    """(..., F) the mean over the group of each statistic."""
+    groups = np.array([group_of(name) for name in feature_names()])
+    found = np.empty_like(values)
+    for group in set(groups):
+        own = groups == group
+        found[..., own] = values[..., own].mean(-1, keepdims=True)
+    return found
+
+
+def units(scatter: np.ndarray, uneven: np.ndarray) -> np.ndarray:
+    """(N, F) the square of what each statistic's difference is measured in.
 
     Args:
-        squares: (F,) squared differences in units, of the pairs that are fitted.
+        scatter: (N, F) the variance of its mean over a half by chance.
+        uneven: (N, F) the same as the quarters of the frame differ. It is a rough figure: a group's mean
+            counts, but where a few pixels decide.
     """
-    found = weights() * np.clip(squares, 1.0, _MOST)
+    squares = tolerances() ** 2 + scatter
+    few = np.maximum(squares, uneven * of_few_pixels())
+    return np.asarray(few * np.maximum(_by_group(uneven / squares), 1.0))
+
+
+def emphasis(squares: np.ndarray) -> np.ndarray:
+    """How much more what differs by more than its unit counts, by squared differences in units."""
+    return np.asarray(np.clip(squares, 1.0, _MOST))
+
+
+def emphasised(more: np.ndarray) -> np.ndarray:
+    """(F,) `weights` of mean one, where what has more of the gap counts more: one statistic shall not drown
+    in many.
+
+    Args:
+        more: (F,) the emphasis by what the fitted pairs differ in.
+    """
+    found = weights() * more
     return np.asarray(found / found.mean())
 
 

@@ -22,6 +22,7 @@ LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
 """Where the tents of luma stand that noise is measured in: the dark has more to tell."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 _DARK = 70.0  # luma below which read noise is most of the noise
+_PLAIN = 0.05  # a correlation from scene to scene that is no chance
 _STRIPE = 16  # px: lines are measured on every second stripe, and on the stripes between
 Found = dict[str, jax.Array]
 
@@ -182,9 +183,12 @@ def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array)
 
 
 def _repeated(values: jax.Array, which: jax.Array) -> jax.Array:
+    """(N,) correlation with the mean of the others, beyond `_PLAIN` its logarithm: a pattern repeats or does
+    not; how much of it is seen beside a scene's light and noise is a matter of few pixels."""
     others = jnp.tensordot(which, values, 1, precision="highest")
     axes = tuple(range(1, values.ndim))
-    return (values * others).sum(axes) / (jnp.sqrt((values**2).sum(axes) * (others**2).sum(axes)) + 1e-6)
+    found = (values * others).sum(axes) / (jnp.sqrt((values**2).sum(axes) * (others**2).sum(axes)) + 1e-6)
+    return _PLAIN * jnp.arcsinh(found / _PLAIN)
 
 
 class Frames(NamedTuple):
@@ -229,6 +233,13 @@ def features(
     each = [_noise_part(*own, seen) for own in zip(noise, y, s, mask)]
     others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others)], 1)
     return np.concatenate([means, others[:, _others()[1]]], 1)
+
+
+def mean_features(
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]]
+) -> np.ndarray:
+    """(N, M) the first of the `features`, those of the mean, alone."""
+    return np.stack([_mean_part(*own)[0] for own in zip(y, s, mask, maps)])
 
 
 @jax.jit

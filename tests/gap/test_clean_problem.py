@@ -10,8 +10,10 @@ from jaxisp.gap.measured import Split
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_start import noise_indices
+from jaxisp.gap.noisy_units import noise_only, tolerances, units
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
+from jaxisp.gap.statistics import feature_names
 from tests.conftest import smooth_image
 
 SIDE, COUNT, SHIFT = 80, 2, 0.03
@@ -22,7 +24,9 @@ def problem():
     """Two pictures of a camera whose lens distorts, before the camera without."""
     camera = Camera(None)
     effects = [
-        e for e in candidates("clean+noisy") if e.name in ("geometric_distortion", "double_compression")
+        e
+        for e in candidates("clean+noisy")
+        if e.name in ("geometric_distortion", "double_compression", "prnu")
     ]
     model = camera.whole_model(camera.mean_model({}), effects)
     rng = np.random.default_rng(4)
@@ -72,3 +76,65 @@ def test_what_may_smooth_noise_is_tried_with_more_of_it(problem):
     shot = noise_indices(model)[0]
     tried = problem.noisier(z, model.indices(["double_compression"])[0])
     assert (tried[0] == z).all() and np.all(np.diff([p[shot] for p in tried]) > 0)
+
+
+def test_a_fit_minds_what_it_spoils(problem):
+    """What was right at the base counts as much, once it is wrong, as what was wrong there."""
+    problem.set_unit()
+    problem.set_unit(emphasise=True)
+    part = problem.take([0])
+    wrong = part._emphasis > 20
+    assert wrong.any() and (part._emphasis == 1).any()
+    unit = np.sqrt(part._weights)[None]
+    np.testing.assert_array_equal(part._spoiled(np.where(wrong, 4.0, 0.9) * unit), 1)
+    spoilt = part._spoiled(np.full_like(unit, 5.0) * unit)[0]
+    np.testing.assert_allclose(spoilt, np.sqrt(np.maximum(25 / part._emphasis, 1)))
+    assert (problem._spoiled(np.full_like(unit, 5.0) * unit) == 1).all()  # the gap is measured as it was
+
+
+def test_a_fit_takes_the_error_of_pixels_along(problem):
+    """Where the lens is, the blocks are right; of a pattern's place they say nothing."""
+    part = problem.take([0])
+    here, (stats, blocks) = part.errors(part.z), part._seen(part.z)
+    z = distorted(part.model, part.z)
+    there = part._seen(z)
+    off = [((part._tones - b) ** 2).mean() for b in (blocks, there[1])]
+    assert off[1] < 0.6 * off[0]
+    noisy = part.z.copy()
+    noisy[part.model.indices(["prnu"])] = 0.05
+    patterned = part._seen(noisy)
+    np.testing.assert_array_equal(patterned[1], blocks)
+    means = noise_only() == 0
+    np.testing.assert_allclose(patterned[0][:, means], stats[:, means], rtol=1e-6)
+    assert (patterned[0][:, ~means] != stats[:, ~means]).any()
+    np.testing.assert_array_equal(part.model.still(noisy + z), z)
+    own = part._scale * (part.real - there[0])
+    statistical = ((own * part._spoiled(own)) ** 2).mean()
+    assert part.errors(z).mean() == pytest.approx(statistical * (off[1] + 0.25) / (off[0] + 0.25))
+    assert here.mean() > part.errors(z).mean()
+
+
+def test_the_normal_equations_of_a_fit_follow_its_error(problem):
+    part = problem.take([0])
+    i = part.model.base_indices[-3]  # of the tone curve
+    part.compute([i])
+    gram, slope = (a.mean() for a in part.normal([i]))
+    step = part.model.steps[i]
+    moved = part.z.copy()
+    moved[i] += step
+    predicted = part.errors(part.z).mean() - 2 * step * slope + step**2 * gram
+    assert part.errors(moved).mean() == pytest.approx(predicted, rel=0.1)
+
+
+def test_units_grow_where_quarters_of_the_frame_differ():
+    names = np.array(feature_names())
+    chance, even = np.full((1, len(names)), 1e-4), np.zeros((1, len(names)))
+    at_rest = units(chance, even)
+    np.testing.assert_allclose(at_rest[0], tolerances() ** 2 + 1e-4)
+    peak, edge = names == "pattern tail peaks", names == "logvar edge Y"
+    few = units(chance, even + 4.0 * peak)
+    assert few[0, peak] >= 4.0  # alone, and a little for all of its group
+    others = units(chance, even + 4.0 * edge)
+    grown = np.array(["edge" in n and not n.startswith("mean") for n in names])
+    assert (others[0, grown] > 2 * at_rest[0, grown]).all() and (others[0, edge] < 4.0).all()
+    np.testing.assert_array_equal(others[0, ~grown], at_rest[0, ~grown])

@@ -5,7 +5,7 @@ import pytest
 
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_start import noise_indices, placed, starts
-from jaxisp.gap.noisy_units import emphasised, group_of, weights
+from jaxisp.gap.noisy_units import emphasis, emphasised, group_of, weights
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.statistics import feature_names
 
@@ -54,10 +54,10 @@ def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
 def test_what_has_more_of_the_gap_counts_more():
     names = feature_names()
     squares = np.full(len(names), 0.5)
-    np.testing.assert_allclose(emphasised(squares), weights())
+    np.testing.assert_allclose(emphasised(emphasis(squares)), weights())
     k = names.index("corr row Y")
     squares[k] = 20
-    found = emphasised(squares)
+    found = emphasised(emphasis(squares))
     assert found.mean() == pytest.approx(1) and found[k] / weights()[k] > 15 * (found[0] / weights()[0])
 
 
