@@ -9,28 +9,38 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxisp.gap.effects import CLEAN_NOISY, EFFECTS, RAW_JPEG
+import numpy as np
+
+from jaxisp.gap.effects import AXES, CLEAN_NOISY, EFFECTS, RAW_JPEG
 from jaxisp.gap.measured import Gap, Measured
 from jaxisp.gap.noisy_units import group_of
 
 Rows = Sequence[dict[str, Any]]
 """Axes, as `where` of report.json has them."""
 
-ACCOUNTED = {RAW_JPEG: 0.67, CLEAN_NOISY: 0.5}
+ACCOUNTED = 0.67
 """What all causes together must close where more is left than where nothing is missing."""
-_MAIN, _KEPT, _SEEN = 0.1, 0.3, 0.15
-"""What share of the gap an axis must have to be one that it lies on; what share of that, and of the floor,
-may be left there."""
-_FORMLESS = ("lag", "tail", "block_phase")
-"""Axes that any error of form shows on, and rounding and compression."""
-_SURE = 0.01
-"""The p-value below which an axis has something left."""
+_MAIN = 0.1
+"""What share of the gap an axis must have to be one that it lies on."""
+_KEPT, _SEEN = {RAW_JPEG: 0.3, CLEAN_NOISY: 0.5}, {RAW_JPEG: 0.15, CLEAN_NOISY: 0.5}
+"""What share of that, and of the floor, may be left there."""
+_FORMLESS = {
+    RAW_JPEG: {"lag", "tail", "block_phase"},
+    CLEAN_NOISY: {*AXES} - {"row", "column", "radius", "orientation", "fixed_pattern", "neighbourhood"},
+}
+"""Axes that any error of form shows on, and rounding and compression. Of statistics all but those of place
+and direction: how much of the noise a filter takes out, and at which scale, is a matter of its form."""
+_SURE = {RAW_JPEG: 0.01, CLEAN_NOISY: np.inf}
+"""The p-value below which an axis has something left; statistics have chance in their unit."""
 _BROAD = 0.15
 """By what share the misfit of all statistics must fall. See docs/diagnosis.md for the cameras."""
 _NEAR, _NEARLY_ALL = 0.75, 0.95
 """What is left tells nothing where it is less than this share of what may be, or all but closed."""
-_FAR = 0.5
-"""What share of a bias above the noise may be left."""
+_CLEARLY, _FAR = 3.0, 0.5
+"""How many times the noise a bias must be to say that edges are elsewhere; what share of it may be left."""
+_SOME, _GONE = 0.5, 0.25
+"""How many times the noise a bias must be for its loss to say that edges are where they belong; what share of
+it is left then at most."""
 
 
 class Shown(NamedTuple):
@@ -39,13 +49,13 @@ class Shown(NamedTuple):
     Attributes:
         error: the mean square that the axes' shares are of.
         rows: the axes.
-        bias, noise: mean squares over pixels of what noise-free pictures are off by, and of the simulator's
-            noise; 0 where pixels are what is compared.
+        distance, noise: mean squares over pixels of what the real pictures are from the simulated ones on
+            average, and of the simulator's noise; 0 where pixels are what is compared.
     """
 
     error: float
     rows: Rows
-    bias: float = 0.0
+    distance: float = 0.0
     noise: float = 0.0
 
 
@@ -53,11 +63,10 @@ def shown(problem: Measured, held: Sequence[int]) -> Shown:
     """Where the problem stands."""
     held = list(held)
     error, rows = float(problem.errors(problem.z)[held].mean()), problem.located(held)
-    distances, noise = problem.distances(problem.z), problem.scatter(problem.z)
+    distances, noise = problem.distances(problem.model.still(problem.z)), problem.scatter(problem.z)
     if distances is None or noise is None:
         return Shown(error, rows)
-    scatter = float(noise[held].mean())
-    return Shown(error, rows, float(distances[held].mean()) - scatter, scatter)
+    return Shown(error, rows, float(distances[held].mean()), float(noise[held].mean()))
 
 
 def accounted(
@@ -74,24 +83,28 @@ def accounted(
         excess: the share of the floor by which a gap may be above it, whatever they close.
     """
     more, may, closed = left - gap.floor, excess * gap.floor, (gap.before - left) / gap.scale
-    if more >= may and closed < ACCOUNTED[kind]:
+    if more >= may and closed < ACCOUNTED:
+        return False
+    if kept_axes(kind, causes, before, after, gap):
         return False
     if kind == RAW_JPEG:
-        return not kept_axes(causes, before, after, gap)
-    if _far(before, after):
+        return True
+    off, left_off, noise = _off(before, after)
+    if off > _CLEARLY * noise and left_off > _FAR * off:
         return False
+    found = off > _SOME * noise and left_off < _GONE * off
     little = more < _NEAR * may or closed >= _NEARLY_ALL
-    return little or misfit(after.rows) <= (1 - _BROAD) * misfit(before.rows)
+    return found or little or misfit(after.rows) <= (1 - _BROAD) * misfit(before.rows)
 
 
-def kept_axes(causes: Sequence[str], before: Shown, after: Shown, gap: Gap) -> list[str]:
-    """The axes that the gap of RAW+JPEG pairs lay on and still does, though no cause shows on them: the form
-    of one that is not quite right is left on its own."""
-    own = {*_FORMLESS, *(axis for name in causes for axis in EFFECTS[name].axes)}
+def kept_axes(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap: Gap) -> list[str]:
+    """The axes that the gap lay on and still does, though no cause shows on them: the form of one that is not
+    quite right is left on its own."""
+    own = {*_FORMLESS[kind], *(axis for name in causes for axis in EFFECTS[name].axes)}
     then = {row["axis"]: before.error * row["share"] for row in before.rows if row["axis"] not in own}
-    now = {row["axis"]: after.error * row["share"] for row in after.rows if row["p_value"] < _SURE}
+    now = {row["axis"]: after.error * row["share"] for row in after.rows if row["p_value"] < _SURE[kind]}
     main = {axis: was for axis, was in then.items() if was > _MAIN * gap.scale}
-    return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT * was, _SEEN * gap.floor)]
+    return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT[kind] * was, _SEEN[kind] * gap.floor)]
 
 
 def misfit(rows: Rows) -> float:
@@ -106,6 +119,8 @@ def misfit(rows: Rows) -> float:
     return sum(math.log(max(sum(own) / len(own), 1.0)) for own in squares.values())
 
 
-def _far(before: Shown, after: Shown) -> bool:
-    """Whether pictures were off by more than noise, and are by more than half of that."""
-    return before.bias > before.noise and after.bias > _FAR * before.bias
+def _off(before: Shown, after: Shown) -> tuple[float, float, float]:
+    """What pictures were off by beyond noise, what they are off by, and the noise: the real one's is about
+    the simulated one's, but a base that lacks much has less of it, or more."""
+    noise = max(before.noise, after.noise)
+    return before.distance - noise, after.distance - noise, noise

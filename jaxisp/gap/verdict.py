@@ -11,8 +11,8 @@ from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
 from jaxisp.gap.measured import Case, Gap, Measured
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import Whole
-from jaxisp.gap.which import Terms, Tick, search
+from jaxisp.gap.refit import SMALLEST, Whole
+from jaxisp.gap.which import LEADING, Terms, Tick, search
 
 MOST_CAUSES = 3
 NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
@@ -74,25 +74,35 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     problem, scale, kind, held = case.problem, gap.scale, case.kind, case.split.held_out
     start, before = (problem.model, problem.z.copy()), shown(problem, held)
     could = gap.exceeds(NULL_DROP[kind])  # smoothing alone can come nearer than the floor
-    least = max(NULL_DROP[kind] * gap.floor / scale, LEAST_CLOSED[kind])
-    most, enough = MOST_CAUSES if could else 0, LEAST_CLOSED[kind] or -np.inf
-    terms = Terms(least, most, enough, APART[kind] * gap.floor / scale, case.seen)
+    alone = max(NULL_DROP[kind] * gap.floor / scale, SMALLEST)
+    most, enough = MOST_CAUSES if could else 0, alone if LEAST_CLOSED[kind] else -np.inf
+    leading = LEADING * (1 - _grain_closes(case, scale, alone))
+    part, apart = LEAST_CLOSED[kind], APART[kind] * gap.floor / scale
+    terms = Terms(alone, most, leading, part, enough, apart, case.seen)
     steps, trials, promises = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
     refused: Refused | None = None
     for count in range(len(steps), -1, -1):
         _stand_at(problem, start, steps[:count])
         causes = steps[:count]
         if case.stored is not None:
-            grain = grain_trial(problem, case.stored, case.split, scale, least)
+            grain = grain_trial(problem, case.stored, case.split, scale, alone)
             causes = with_grain(causes, grain, gap.floor)
             if count == len(steps):
                 trials, promises = trials | {"film_grain": grain}, promises | {"film_grain": grain.gain}
-        if could and causes:
+        if could and causes and max(t.closed for t, _ in causes) >= LEADING:
             after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
             if accounted(kind, names, before, after, gap, left, NULL_EXCESS[kind]):
                 return Found(by_closure(causes), trials, promises, before, after)
             refused = refused or Refused(by_closure(causes), after, problem.model, problem.z.copy())
     return Found([], trials, promises, before, before, refused)
+
+
+def _grain_closes(case: Case, scale: float, least: float) -> float:
+    """The share of the gap that film grain accounts for at the base: no effect can lead with that."""
+    if case.stored is None:
+        return 0.0
+    grain = grain_trial(case.problem, case.stored, case.split, scale, least)
+    return min(max(grain.closed, 0.0), 1.0) if grain.accepted else 0.0
 
 
 def _stand_at(problem: Measured, start: tuple[Model, np.ndarray], steps: Sequence[Cause]) -> None:

@@ -144,6 +144,8 @@ class Terms(NamedTuple):
     Attributes:
         least: the share of the gap that the lower end of its interval must be above.
         most: how many are accepted at most.
+        leading: the share of the gap that the first must close.
+        part: the share of what is left that the lower end must be above.
         enough: the share of the gap that no other effect is looked for to close.
         apart: of `lookalikes`.
         seen: effects that the files themselves show; they are refitted whatever they promise.
@@ -151,6 +153,8 @@ class Terms(NamedTuple):
 
     least: float
     most: int
+    leading: float = LEADING
+    part: float = 0.0
     enough: float = -np.inf
     apart: float = np.inf
     seen: Sequence[str] = ()
@@ -165,18 +169,18 @@ def search(
         the accepted trials with their look-alikes, in order; the trials of the first step; what each effect
         promised there.
     """
-    least, most, enough, apart, seen = terms
+    most, seen, remaining = terms.most, terms.seen, 1.0
     left = list(names)
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}
-    first_promises: dict[str, float] = {} if most else screen(problem, left, split)
-    for step in range(most):
+    first_promises: dict[str, float] = {} if most and names else screen(problem, left, split)
+    for step in range(most if names else 0):
         tick(step, most, "screening effects")
         promises = screen(problem, left, split)
         ranked = sorted(left, key=lambda name: -promises[name])
         tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
         tried += [n for n in left if n in seen and n not in tried]
-        trials = []
+        trials, least = [], max(terms.least, terms.part * remaining)
         for name in tried:
             tick(step, most, f"refitting {name}")
             trials.append(refit(problem, name, split, whole, least))
@@ -186,13 +190,14 @@ def search(
         if step == 0:
             first_trials, first_promises = {t.effect: t for t in trials}, promises
         winner = best(trials, seen)
-        if winner is None or (not causes and winner.closed < LEADING):
+        if winner is None or (not causes and winner.closed < terms.leading):
             break
-        causes.append((winner, lookalikes(winner, trials, apart)))
+        causes.append((winner, lookalikes(winner, trials, terms.apart)))
         left.remove(winner.effect)
         problem.move_to(winner.z)
         if winner.choice is not None:
             problem.choose(winner.choice)
-        if winner.after - (causes[0][0].before - whole.size) < enough * whole.size:
+        remaining -= winner.closed
+        if remaining < terms.enough:
             break
     return causes, first_trials, first_promises

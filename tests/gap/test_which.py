@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import best, like_the_nearest, lookalikes
+from jaxisp.gap import which
+from jaxisp.gap.measured import Split
+from jaxisp.gap.refit import Trial, Whole
+from jaxisp.gap.which import Terms, best, like_the_nearest, lookalikes, search
 
 
 def trial(effect, closed, low, high):
@@ -76,3 +78,60 @@ def test_what_the_files_show_comes_first_where_it_is_accepted():
     assert best([near, shown], ["double_compression"]) is shown
     assert best([near, trial("double_compression", 0.05, 0.0, 0.1)], ["double_compression"]) is near
     assert best([near, trial("double_compression", 0.2, 0.15, 0.25)], ["double_compression"]) is near
+
+
+class Problem:
+    def __init__(self):
+        self.z = np.zeros(1)
+
+    def move_to(self, z):
+        self.z = z
+
+
+def searched(monkeypatch, closes, terms):
+    """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
+    asked = []
+
+    def refit(problem, name, split, whole, least):
+        asked.append(least)
+        share, half = closes[name]
+        before = 11.0 - float(problem.z[0])
+        return Trial(
+            name,
+            problem.z + 10 * share,
+            before,
+            before - 10 * share,
+            share,
+            share - half,
+            share + half,
+            least,
+        )
+
+    monkeypatch.setattr(which, "screen", lambda problem, names, split: {n: closes[n][0] for n in names})
+    monkeypatch.setattr(which, "refit", refit)
+    whole = Whole(10.0, np.ones((1, 1)))
+    closes = closes | {"prnu": (0.0, 0.0)}
+    causes, *_ = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
+    return [t.effect for t, _ in causes], asked
+
+
+def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
+    closes = {"chroma_denoising": (0.8, 0.05), "vignetting": (0.15, 0.04)}
+    terms = Terms(0.05, 3, part=0.15)
+    assert searched(monkeypatch, closes, terms)[0] == list(closes)
+    names, asked = searched(monkeypatch, closes, terms._replace(part=0.6))  # 0.12 of the gap
+    assert names == ["chroma_denoising"] and asked[-1] == pytest.approx(0.12)
+    assert searched(monkeypatch, closes, terms._replace(enough=0.25))[0] == ["chroma_denoising"]
+
+
+def test_nothing_to_try_finds_nothing(monkeypatch):
+    monkeypatch.setattr(which, "screen", lambda problem, names, split: {n: 1.0 for n in names})
+    whole = Whole(10.0, np.ones((1, 1)))
+    found = search(Problem(), [], Split((0,), (1,)), whole, Terms(0.05, 3), lambda *tick: None)
+    assert found == ([], {}, {})
+
+
+def test_beside_grain_less_can_lead(monkeypatch):
+    closes = {"green_imbalance": (0.12, 0.04)}
+    assert searched(monkeypatch, closes, Terms(0.05, 3))[0] == []
+    assert searched(monkeypatch, closes, Terms(0.05, 3, leading=0.1))[0] == ["green_imbalance"]
