@@ -159,6 +159,13 @@ def test_libraw_develops_what_a_body_took(name: str) -> None:
     assert np.abs(developed(raw, name, {}) - 255 * curve).mean() > 1, "AHD is another"
 
 
+def test_the_effects_of_pairs_come_alone_too() -> None:
+    found = list(cases(KINDS[0], "alone", ["alder"], [3]))
+    names = {name for pair in effects.PAIRS for name in pair}
+    assert {case.effects[0][0] for case in found} == {n for n in names if effects.shows_in(n, KINDS[0])}
+    assert len(found) == len(set(found))
+
+
 def test_deleting_hides_the_true_effect_alone() -> None:
     tried = []
     case = next(cases(KINDS[0], "deleted", ["alder"], [3]))
@@ -231,6 +238,16 @@ def test_tables_count_what_was_said() -> None:
     strangers[1]["where"] = ["row", "lag", "hue"]
     text = markdown(strangers)
     assert "| unknown | 100% " in text and "| right axis among the first three | 50% " in text
+    both = record("vignetting", report("effect", "vignetting", "sharpening"), "pairs")
+    both["effects"] = [["vignetting", 3], ["sharpening", 3]]
+    one = both | {"case": "another", "causes": ["vignetting"], "effects": [["vignetting", 3], ["prnu", 3]]}
+    names = ("vignetting", "sharpening", "prnu")
+    alone = [record(n, report("unknown"), "alone") | {"case": f"{n} alone"} for n in names]
+    text = markdown([both, one, *alone[:2]])
+    assert (
+        "| both found | 50% " in text and text.count("(1/1) |") == 2
+    )  # the other's effect is not known alone
+    assert "| both found | 50% [9%, 91%] (1/2) | 50% " in markdown([both, one, *alone])
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3
 

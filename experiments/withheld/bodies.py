@@ -116,6 +116,24 @@ def srgb_with_contrast(x: np.ndarray) -> np.ndarray:
     return y - 0.04 * np.sin(2 * np.pi * y)
 
 
+def hybrid_log(x: np.ndarray) -> np.ndarray:
+    """A square root up to a twelfth of white, a logarithm above."""
+    x = np.clip(x, 0, 1)
+    above = 0.17883277 * np.log(np.maximum(12 * x - 0.28466892, 1e-6)) + 0.55991073
+    return np.where(x <= 1 / 12, np.sqrt(3 * x) * (1 - 0.25 * np.exp(-150 * x)), above)
+
+
+def compressed_then_srgb(x: np.ndarray) -> np.ndarray:
+    """Light over one plus light, in part, before the display's curve."""
+    x = np.clip(x, 0, 1)
+    return srgb_encode(x * 1.35 / (1 + 0.35 * x))
+
+
+def toe_and_power(x: np.ndarray) -> np.ndarray:
+    y = np.power(np.clip(x, 1e-6, 1), 1 / 2.0)
+    return y * (1 - 0.2 * np.exp(-12 * y)) / (1 - 0.2 * np.exp(-12.0))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -172,7 +190,26 @@ BODIES = {
             srgb_with_contrast, "bilinear", "malvar", 93, sampling="4:2:2", border="own", sign=-1,
             intermediate_bits=12, spot=0.5, bright=Noise(10000.0, 4.0), dim=Noise(1600.0, 9.0),
         ),
+        Body(
+            "juniper", "RGGB", 12, 160.0, (2.0, 1.0, 1.9),
+            _matrix((1.5, -0.35, -0.15), (-0.2, 1.4, -0.2), (-0.02, -0.5, 1.52)),
+            hybrid_log, "malvar", "bilinear", 94, sampling="4:2:0", order="balance-last",
+            exposure=0.9, spot=0.5, sign=-1, bright=Noise(14000.0, 4.0), dim=Noise(1400.0, 8.0),
+        ),
+        Body(
+            "katsura", "GBRG", 14, 400.0, (1.8, 1.0, 1.5),
+            _matrix((1.6, -0.5, -0.1), (-0.28, 1.5, -0.22), (0.02, -0.4, 1.38)),
+            compressed_then_srgb, "hamilton-adams", "malvar", 96, encoder="opencv", border="cells",
+            exposure=0.8, spot=0.55, bright=Noise(16000.0, 3.0), dim=Noise(2000.0, 11.0),
+        ),
+        Body(
+            "larch", "BGGR", 10, 80.0, (2.2, 1.0, 1.7),
+            _matrix((1.45, -0.3, -0.15), (-0.18, 1.36, -0.18), (0.0, -0.46, 1.46)),
+            toe_and_power, "bilinear", "hamilton-adams", 92, sampling="4:2:2", border="own",
+            intermediate_bits=13, exposure=0.92, spot=0.5, luma_share=0.02,
+            bright=Noise(11000.0, 3.0), dim=Noise(1300.0, 7.0),
+        ),
     )
 }  # fmt: skip
-LATER = ("fir", "ginkgo", "hazel")
-"""Bodies that came last; what is refused was settled with their results known (docs/diagnosis.md)."""
+LATER = ("juniper", "katsura", "larch")
+"""Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""

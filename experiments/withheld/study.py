@@ -26,11 +26,11 @@ from .scenes import SETS
 Report = dict[str, Any]
 Diagnose = Callable[..., Report]
 SCENES = {
-    "develop": "one", "sealed": "two", "nulls": "", "outside": "three", "pairs": "three", "deleted": "three",
-    "libraw": "three",
+    "develop": "one", "sealed": "two", "nulls": "", "outside": "three", "pairs": "three", "alone": "three",
+    "deleted": "three", "libraw": "three",
 }  # fmt: skip
 """The scenes of each split; nulls come on all sets."""
-_WITHOUT_TRUTH = ("nulls", "deleted", "libraw")
+_WITHOUT_TRUTH = ("nulls", "alone", "deleted", "libraw")
 """Where the share of the gap that an effect made is not asked for, or not known: LibRaw's change tone."""
 
 
@@ -53,7 +53,8 @@ def cases(
 ) -> Iterator[Case]:
     """All cases of a split; nulls come on every scene set, a body's own nothing among them.
 
-    "deleted" is the whole vocabulary again, each effect left out of those that the diagnosis tries.
+    "deleted" is the whole vocabulary again, each effect left out of those that the diagnosis tries; "alone"
+    the effects of the pairs one by one, nothing tried: how large a gap each makes.
     """
     if split == "nulls":
         for name in NULLS:
@@ -70,6 +71,7 @@ def cases(
         "sealed": [(name,) for name in SEALED],
         "outside": [(name,) for name in OUTSIDE],
         "pairs": PAIRS,
+        "alone": [(name,) for name in sorted({name for pair in PAIRS for name in pair})],
         "deleted": [(name,) for name in sorted(VOCABULARY)],
     }
     for group in names[split]:
@@ -88,7 +90,7 @@ def shuffled(found: Sequence[Case]) -> list[Case]:
 def examine(case: Case, diagnose: Diagnose, size: int = 256, count: int = 8) -> dict[str, Any]:
     """Shoot one case, diagnose it, and keep the parts of the report that the tables need."""
     record: dict[str, Any] = {"case": case.name, **asdict(case), "standing": BODIES[case.body].standing}
-    hidden = [name for name, _ in case.effects] if case.split == "deleted" else []
+    hidden = {"deleted": [name for name, _ in case.effects], "alone": sorted(VOCABULARY)}.get(case.split, [])
     write = libraw.write if case.split == "libraw" else shoot.write
     with tempfile.TemporaryDirectory() as folder:
         try:

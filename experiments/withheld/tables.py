@@ -226,11 +226,35 @@ def outside_section(records: list[Record]) -> str:
 
 
 def pairs_section(records: list[Record]) -> str:
-    one = share(records, lambda r: bool(set(truth(r)) & set(r["causes"])))
-    rows = [[r["case"], ", ".join(r["causes"]), r["verdict"]] for r in records if not both_found(r)]
-    return f"Both found: {share(records, both_found)}; at least one: {one}.\n\n" + table(
-        ["case", "causes", "verdict"], rows
-    )
+    """Of all pairs, and of those either effect of which makes a gap of twice the floor by itself."""
+    rates: dict[str, Callable[[Record], bool]] = {
+        "both found": both_found,
+        "one or both": lambda r: bool(set(truth(r)) & set(r["causes"])),
+        "anything else named": lambda r: bool(set(named(r)) - set(truth(r))),
+    }
+    seen = [r for r in records if plain_to_see(r) and all(r["each"])]
+    rows = [[name, share(records, hit), share(seen, hit)] for name, hit in rates.items()]
+    missed = [
+        [r["case"], ", ".join(r["causes"]) or r["verdict"], gap_of(r), "yes" if r in seen else ""]
+        for r in records if not both_found(r)
+    ]  # fmt: skip
+    return "\n".join([
+        table(["quantity", "all", "each alone at least twice the floor"], rows),
+        table(["case", "said", "gap (floor)", "each alone plain to see"], missed),
+    ])  # fmt: skip
+
+
+def with_each(records: Sequence[Record]) -> list[Record]:
+    """The records, those of pairs with `each`: whether either effect alone makes a gap of twice the floor."""
+
+    def place(record: Record, name: str) -> tuple[str, ...]:
+        return record["kind"], record["body"], record["scenes"], name
+
+    alone = {place(r, truth(r)[0]): plain_to_see(r) for r in records if r["split"] == "alone"}
+    return [
+        r | {"each": [alone.get(place(r, name), False) for name in truth(r)]} if r["split"] == "pairs" else r
+        for r in records
+    ]
 
 
 def deleted_section(records: list[Record]) -> str:
@@ -285,7 +309,7 @@ SECTIONS = {
 
 def markdown(records: Sequence[Record], head: str = "") -> str:
     """The head; sections by kind of data and split; then seconds and failures."""
-    whole = [r for r in records if "failed" not in r]
+    whole = with_each([r for r in records if "failed" not in r])
     parts = [head]
     for kind in sorted({r["kind"] for r in whole}):
         for split, (title, section) in SECTIONS.items():
