@@ -101,8 +101,10 @@ def kept_axes(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap
     """The axes that the gap lay on and still does, though no cause shows on them: the form of one that is not
     quite right is left on its own."""
     own = {*_FORMLESS[kind], *(axis for name in causes for axis in EFFECTS[name].axes)}
-    then = {row["axis"]: before.error * row["share"] for row in before.rows if row["axis"] not in own}
-    now = {row["axis"]: after.error * row["share"] for row in after.rows if row["p_value"] < _SURE[kind]}
+    none = 0.0 if kind == RAW_JPEG else gap.floor  # shares of statistics are of what is above it
+    first, last = (max(state.error - none, 0.0) for state in (before, after))
+    then = {row["axis"]: first * row["share"] for row in before.rows if row["axis"] not in own}
+    now = {row["axis"]: last * row["share"] for row in after.rows if row["p_value"] < _SURE[kind]}
     main = {axis: was for axis, was in then.items() if was > _MAIN * gap.scale}
     return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT[kind] * was, _SEEN[kind] * gap.floor)]
 

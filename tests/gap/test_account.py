@@ -18,7 +18,7 @@ def statistics(distance=0.0, noise=1.0, **squares):
         {"axis": a, "share": s / whole, "p_value": 0.0, "bins": ["corr Y"], "profile": [np.sqrt(s)]}
         for a, s in squares.items()
     ]
-    return Shown(whole, rows, distance, noise)
+    return Shown(1.0 + whole, rows, distance, noise)
 
 
 @pytest.mark.parametrize(
@@ -104,3 +104,5 @@ def test_of_statistics_only_place_and_direction_must_go():
     assert not accounted(CLEAN, ["film_grain"], before, after, gap, 30.0, 1.0)
     nearly = statistics(frequency=5.0, row=14.0, edge=9.0)  # less than half of it
     assert accounted(CLEAN, ["film_grain"], before, nearly, gap, 30.0, 1.0)
+    none = statistics(row=1.0)._replace(error=1.01)  # all of what is left, which is nothing
+    assert kept_axes(CLEAN, ["film_grain"], before, none, gap) == []
