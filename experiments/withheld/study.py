@@ -164,10 +164,16 @@ def run(
             if other["split"] not in _WITHOUT_TRUTH:
                 other["true_closure"] = true_closure(other, done.get(_plain(other).name))
         partial = out.with_suffix(".partial")
-        partial.write_text(json.dumps({"schema": 1, "commands": commands, "cases": done}, indent=1))
+        partial.write_text(written(commands, done))
         partial.replace(out)
         told = record.get("failed") or f"{record['verdict']} {record['causes']} {record['seconds']} s"
         print(record["case"], "->", told, flush=True)
+
+
+def written(commands: Sequence[str], done: dict[str, Any]) -> str:
+    """The results as JSON, a case a line."""
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(record)}" for name, record in done.items())
+    return f'{{"schema": 1, "commands": {json.dumps(commands)}, "cases": {{\n{lines}\n}}}}\n'
 
 
 def _examined(left: Sequence[Case], diagnose: Diagnose, jobs: int, options: dict[str, int]) -> Iterator[Any]:
