@@ -123,6 +123,7 @@ def _of_mean() -> Iterator[tuple[str, str]]:
     directions = {"x": "along rows", "y": "along columns", "down": "falling right", "up": "rising right"}
     for name, direction in directions.items():
         yield f"mean orientation {name}", f"luma error that follows changes {direction}"
+    yield "mean edge asymmetry", "luma error that is darker, or brighter, on both sides of detail"
     yield "mean neighbourhood base", "luma gain that follows the light around"
     yield "mean neighbourhood detail", "luma error that follows the difference to the light around"
 
