@@ -234,8 +234,12 @@ def pairs_section(records: list[Record]) -> str:
     }
     seen = [r for r in records if plain_to_see(r) and all(r["each"])]
     rows = [[name, share(records, hit), share(seen, hit)] for name, hit in rates.items()]
+
+    def plain(record: Record) -> str:
+        return "not looked at" if None in record["each"] else "yes" if record in seen else "no"
+
     missed = [
-        [r["case"], ", ".join(r["causes"]) or r["verdict"], gap_of(r), "yes" if r in seen else ""]
+        [r["case"], ", ".join(r["causes"]) or r["verdict"], gap_of(r), plain(r)]
         for r in records if not both_found(r)
     ]  # fmt: skip
     return "\n".join([
@@ -245,14 +249,15 @@ def pairs_section(records: list[Record]) -> str:
 
 
 def with_each(records: Sequence[Record]) -> list[Record]:
-    """The records, those of pairs with `each`: whether either effect alone makes a gap of twice the floor."""
+    """The records, those of pairs with `each`: whether either effect alone makes a gap of twice the floor;
+    None where that was not looked at."""
 
     def place(record: Record, name: str) -> tuple[str, ...]:
         return record["kind"], record["body"], record["scenes"], name
 
     alone = {place(r, truth(r)[0]): plain_to_see(r) for r in records if r["split"] == "alone"}
     return [
-        r | {"each": [alone.get(place(r, name), False) for name in truth(r)]} if r["split"] == "pairs" else r
+        r | {"each": [alone.get(place(r, name)) for name in truth(r)]} if r["split"] == "pairs" else r
         for r in records
     ]
 
