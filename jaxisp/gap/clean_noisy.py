@@ -18,7 +18,16 @@ from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.noisy_pairs import by_scene, scene_name
 from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts
-from jaxisp.gap.noisy_units import axis_of, emphasis, emphasised, noise_only, repeats, units, weights
+from jaxisp.gap.noisy_units import (
+    axis_of,
+    by_place,
+    emphasis,
+    emphasised,
+    noise_only,
+    repeats,
+    units,
+    weights,
+)
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of, mean_features
 
@@ -151,7 +160,7 @@ class StatisticsProblem:
         found = [
             self._mean(shares * own) for own in self._real_quarters - self._quarters(self.picture(self.z))
         ]
-        return np.var(found, 0, ddof=1) / len(found) * noise_only()
+        return np.var(found, 0, ddof=1) / len(found) * by_place()
 
     @functools.cached_property
     def _real_quarters(self) -> np.ndarray:

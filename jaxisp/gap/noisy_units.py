@@ -13,11 +13,13 @@ TOLERANCES: dict[str, float] = {
     "corr lag": 0.05, "corr row": 0.04, "corr column": 0.04, "logvar block_phase": 0.03,
     "logvar cfa_phase": 0.05, "logvar edge": 0.06, "logvar frequency": 0.08, "logvar intensity": 0.16,
     "logvar radius": 0.05, "pattern row": 0.02, "pattern column": 0.02, "pattern fixed_pattern": 0.006,
-    "pattern tail": 0.01, "tail tail": 0.12, "code intensity": 0.03,
+    "pattern tail": 0.01, "tail tail": 0.12, "code intensity": 0.03, "levels intensity": 0.03,
+    "corr orientation": 0.03, "coarse fixed_pattern": 0.03,
 }  # fmt: skip
 """Differences that cameras lacking nothing show, averaged over pairs, chance taken off: 8-bit steps for
 means, logarithms and correlations for the rest. See docs/diagnosis.md for the cameras."""
 
+_REPEATED = ("pattern", "coarse")  # what is looked for in the other scenes
 _MOST = 30.0
 """How many times as much as another a statistic can count at most for what the fitted pairs show of it."""
 
@@ -31,7 +33,7 @@ def group_of(name: str) -> str:
     """Statistics of one axis count as much together as those of another; those of the mean and of the noise
     are apart."""
     kind, axis = name.split()[:2]
-    return f"{kind} {axis}" if kind in ("mean", "code", "comb") else f"noise {axis}"
+    return f"{kind} {axis}" if kind in ("mean", "code", "comb", "levels") else f"noise {axis}"
 
 
 @functools.cache
@@ -48,13 +50,20 @@ def _tolerance(name: str) -> float:
 def repeats() -> np.ndarray:
     """(F,) how much more the mean over pairs scatters than it would were they independent: what two pairs
     share counts for both."""
-    return np.array([2.0 if name.startswith("pattern") else 1.0 for name in feature_names()])
+    return np.array([2.0 if name.startswith(_REPEATED) else 1.0 for name in feature_names()])
 
 
 @functools.cache
 def noise_only() -> np.ndarray:
     """(F,) 1 for the statistics of noise, 0 for those of the mean."""
     return np.array([float(not name.startswith("mean")) for name in feature_names()])
+
+
+@functools.cache
+def by_place() -> np.ndarray:
+    """(F,) 1 for the statistics of noise that a quarter of a frame has too: spots are as large."""
+    spots = np.array([name.startswith("coarse") for name in feature_names()])
+    return noise_only() * ~spots
 
 
 @functools.cache

@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxisp.gap.noisy_codes import FREQUENCIES
 from jaxisp.gap.noisy_mean import CHANNELS
-from jaxisp.gap.statistics import LUMA
+from jaxisp.gap.statistics import LEVELS, LUMA
 
 _LARGEST = 6  # statistics of an axis that are shown
 STATISTICS = {
@@ -97,6 +97,7 @@ def _of_channel(c: str) -> Iterator[tuple[str, str]]:
         yield f"corr {of} {c} slow", f"{c} noise alike along bands of {of}s"
         yield f"pattern {of} {c} repeats", f"{c} offsets of {of}s that stay from scene to scene"
     yield f"pattern fixed_pattern {c} pixel", f"{c} differences that stay at their pixels"
+    yield f"coarse fixed_pattern {c}", f"{c} spots of some 5 to 20 px that stay at their place"
 
 
 def _mean_of_channel(c: str) -> Iterator[tuple[str, str]]:
@@ -139,6 +140,8 @@ def _of_noise() -> Iterator[tuple[str, str]]:
                 yield f"corr lag {c}{lag} {part}", f"{c} noise and its neighbour's ({which}), in {where}"
         for a, b in (("Y", "Cb"), ("Y", "Cr"), ("Cb", "Cr")):
             yield f"corr channel {a}{b} {part}", f"{a} noise and {b} noise together, in {where}"
+        yield f"corr orientation diagonals {part}", f"noise along one diagonal against the other, in {where}"
+        yield f"corr orientation sides {part}", f"noise along rows against along columns, in {where}"
     for part, where in (("dark", "the dark"), ("bright", "the light")):
         yield f"tail tail kurtosis {part}", f"heaviness of both tails (kurtosis), in {where}"
         yield f"tail tail skew {part}", f"lopsidedness (skew), in {where}"
@@ -152,6 +155,8 @@ def _of_levels() -> Iterator[tuple[str, str]]:
     for part, where in (("dark", "the dark"), ("light", "the light")):
         for k, count in enumerate(FREQUENCIES):
             yield f"code intensity {part}{k:02d}", f"RAW values in {count:.0f} even levels, in {where}"
+    for count in LEVELS:
+        yield f"levels intensity {count:02d}", f"green values in {count} even levels"
     for lines, line in (("columns", "column"), ("rows", "row")):
         for k in range(8):
             which = f"{line} {k} of 8" + (" (a block's border)" if k == 0 else "")

@@ -14,16 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.gap.noisy_codes import Codes, comb_part, unknown_codes
+from jaxisp.color import ycbcr_to_rgb_planes
+from jaxisp.gap.noisy_codes import Codes, comb_part, cosine, unknown_codes
 from jaxisp.gap.noisy_mean import CHANNELS, Maps, blurred, mean_names, tents
 from jaxisp.windows import gaussian_blur
 
 LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
 """Where the tents of luma stand that noise is measured in: the dark has more to tell."""
+LEVELS = tuple(range(8, 81, 6))
+"""Values up to white that posterisation may leave."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+_OPPOSED = {"diagonals": ((1, 1), (1, -1)), "sides": ((0, 1), (1, 0))}
 _DARK = 70.0  # luma below which read noise is most of the noise
-_PLAIN = 0.05  # a correlation from scene to scene that is no chance
+_PLAIN, _PLAINLY = 0.05, 0.2  # a correlation from scene to scene that is no chance: of pixels, of spots
 _STRIPE = 16  # px: lines are measured on every second stripe, and on the stripes between
+_GUARD = 4  # px between the parts of stripes that bands of lines are measured on: grain reaches as far
 Found = dict[str, jax.Array]
 
 
@@ -51,7 +56,15 @@ def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: 
     high = r - smooth[1]
     found = _spread(high, bands, s, mask, flat) | _correlations(high, flat, s[..., 0]) | _lines(r, flat)
     found |= _tails(high[..., 0], s[..., 0], flat) | _grids(high, y, flat) | comb_part(y, s, flat, seen)
-    return found
+    return found | _levels(y, flat)
+
+
+def _levels(y: jax.Array, flat: jax.Array) -> Found:
+    """The characteristic function of what green differs in from its neighbour's: of few levels the
+    differences are multiples of one step."""
+    green = ycbcr_to_rgb_planes(*jnp.moveaxis(y / 255, -1, 0))[1]
+    step, weight = green[:, 1:] - green[:, :-1], flat[:, 1:] * flat[:, :-1]
+    return {f"levels intensity {count:02d}": _mean(cosine(count * step), weight) for count in LEVELS}
 
 
 def _spread(high: jax.Array, bands: list[jax.Array], s: jax.Array, mask: jax.Array, flat: jax.Array) -> Found:
@@ -82,6 +95,9 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
             for lag in _LAGS[: 6 if c == 0 else 3]:
                 product = high[..., c] * jnp.roll(high[..., c], lag, (0, 1))
                 found[f"corr lag {name}{lag} {part}"] = (product * weight).sum() / power[c]
+        for what, (one, other) in _OPPOSED.items():
+            apart = found[f"corr lag Y{one} {part}"] - found[f"corr lag Y{other} {part}"]
+            found[f"corr orientation {what} {part}"] = apart
         for a, b in ((0, 1), (0, 2), (1, 2)):
             product = (high[..., a] * high[..., b] * weight).sum()
             found[f"corr channel {CHANNELS[a]}{CHANNELS[b]} {part}"] = product / jnp.sqrt(power[a] * power[b])
@@ -95,12 +111,19 @@ def _lines(r: jax.Array, flat: jax.Array) -> Found:
     power = blurred(r**2 * flat[..., None], 4.0) / (gaussian_blur(flat, 4.0, 12) + 1e-3)[..., None]
     even = r / jnp.sqrt(power + 0.1 * power.mean((0, 1)) + 1e-3)  # quiet parts tell as much as loud ones
     for axis, of in ((1, "row"), (0, "column")):
-        place = jnp.arange(r.shape[axis]) // _STRIPE % 2
-        sides = [flat * jnp.expand_dims(place == side, 1 - axis) for side in (0, 1)]
+        at = jnp.arange(r.shape[axis])
+        place, inner = at // _STRIPE % 2, at % _STRIPE < _STRIPE - _GUARD
+        sides, apart = (
+            [flat * jnp.expand_dims((place == side) & counted, 1 - axis) for side in (0, 1)]
+            for counted in (inner | True, inner)
+        )
         for c, name in enumerate(CHANNELS):
-            means = [(even[..., c] * side).sum(axis) / (side.sum(axis) + 1.0) for side in sides]
-            found[f"corr {of} {name}"] = _agreement(*(m[1:-1] - 0.5 * (m[:-2] + m[2:]) for m in means))
-            slow = [jnp.convolve(m, jnp.ones(5) / 5, "valid") for m in means]
+            fine, bands = (
+                [(even[..., c] * side).sum(axis) / (side.sum(axis) + 1.0) for side in both]
+                for both in (sides, apart)
+            )
+            found[f"corr {of} {name}"] = _agreement(*(m[1:-1] - 0.5 * (m[:-2] + m[2:]) for m in fine))
+            slow = [jnp.convolve(m, jnp.ones(5) / 5, "valid") for m in bands]
             found[f"corr {of} {name} slow"] = _agreement(*(m - m.mean() for m in slow))
     return found
 
@@ -172,6 +195,8 @@ def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array)
         high = plane - jnp.stack([gaussian_blur(v, 1.5, 5) for v in plane])
         clipped = jnp.clip(high / (jnp.sqrt((high**2).mean((1, 2), keepdims=True)) + 0.1), -4, 4)
         found[f"pattern fixed_pattern {name} pixel"] = _repeated(clipped, others)
+        coarse = jnp.stack([gaussian_blur(v, 2.0, 6) - gaussian_blur(v, 8.0, 24) for v in plane])
+        found[f"coarse fixed_pattern {name}"] = _repeated(coarse, others, _PLAINLY)
         if c == 0:
             found["pattern fixed_pattern bright"] = _repeated(clipped * light, others)
             found["pattern tail peaks"] = _repeated(jnp.maximum(jnp.abs(clipped) - 3, 0), others)
@@ -182,13 +207,13 @@ def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array)
     return found
 
 
-def _repeated(values: jax.Array, which: jax.Array) -> jax.Array:
-    """(N,) correlation with the mean of the others, beyond `_PLAIN` its logarithm: a pattern repeats or does
-    not; how much of it is seen beside a scene's light and noise is a matter of few pixels."""
+def _repeated(values: jax.Array, which: jax.Array, plain: float = _PLAIN) -> jax.Array:
+    """(N,) correlation with the mean of the others, beyond what is plain its logarithm: a pattern repeats or
+    does not; how much of it is seen beside a scene's light and noise is a matter of few pixels."""
     others = jnp.tensordot(which, values, 1, precision="highest")
     axes = tuple(range(1, values.ndim))
     found = (values * others).sum(axes) / (jnp.sqrt((values**2).sum(axes) * (others**2).sum(axes)) + 1e-6)
-    return _PLAIN * jnp.arcsinh(found / _PLAIN)
+    return plain * jnp.arcsinh(found / plain)
 
 
 class Frames(NamedTuple):

@@ -3,13 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import convolve, gaussian_filter
 
+from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
 from jaxisp.gap.noisy_units import axis_of, tolerances, weights
-from jaxisp.gap.statistics import feature_names, features, frames_of
+from jaxisp.gap.statistics import LEVELS, feature_names, features, frames_of
 from tests.gap.scenes import scenes
 
 SCENE = scenes(np.random.default_rng(3), 4, (112, 128))
@@ -39,6 +40,8 @@ def luma(a):
 
 
 RNG = np.random.default_rng(7)
+SPOTS = sum(np.exp(-((np.hypot(ROW - y, COLUMN - x) / 6) ** 4)) for y, x in RNG.uniform(10, 100, (8, 2)))
+ALONG = np.stack([convolve(v, np.eye(3) / 3) for v in RNG.normal(size=(N, H, W))])
 CASES = {
     "pattern column Y repeats": luma(1.5 * RNG.normal(size=(1, 1, W))),
     "pattern fixed_pattern Y pixel": luma(2.5 * RNG.normal(size=(1, H, W))),
@@ -47,6 +50,8 @@ CASES = {
     "logvar cfa_phase Y00": luma(4 * RNG.normal(size=(N, H, W)) * ((ROW % 2 == 0) & (COLUMN % 2 == 0))),
     "mean cfa_phase Y checker": 0.02 * luma(SCENE[..., 0] * ((ROW + COLUMN) % 2 - 0.5)),
     "mean radius Y gain": luma(-0.2 * SCENE[..., 0] * ((ROW / H - 0.5) ** 2 + (COLUMN / W - 0.5) ** 2)),
+    "coarse fixed_pattern Y": -0.1 * luma(SCENE[..., 0] * SPOTS),
+    "corr orientation diagonals light": luma(9 * ALONG),
     "mean frequency Y fine": luma(0.5 * (gaussian_filter(SCENE[..., 0], (0, 0.8, 0.8)) - SCENE[..., 0])),
 }
 
@@ -91,6 +96,27 @@ def test_lines_do_not_answer_to_the_level_of_white_noise(plain):
     for name in ("corr row Y", "corr column Y", "corr lag Y(0, 1) light", "logvar frequency Y0"):
         assert loud[name] == pytest.approx(plain[0][name], abs=0.03)
     assert loud["logvar intensity Y3"] == pytest.approx(plain[0]["logvar intensity Y3"] + np.log(4), abs=0.1)
+
+
+def test_bands_of_lines_do_not_answer_to_grain(plain):
+    """Grain of 1.6 px, the widest that the effect of that name has, reaches over the border of stripes."""
+    rng = np.random.default_rng(11)
+    grainy = [23 * gaussian_filter(rng.normal(size=(N, H, W)), (0, 1.6, 1.6)) for _ in range(6)]
+    pulsing = 4 * np.sin(2 * np.pi * (ROW / 21.0 + rng.random((N, 1, 1))))
+    found = [measured(white(k) + luma(grain)) for k, grain in enumerate(grainy)]
+    banded = measured(white(0) + luma(pulsing))
+    for name, follows in (("corr row Y slow", True), ("corr column Y slow", False)):
+        assert abs(np.mean([f[name] for f in found])) < 0.12
+        assert (banded[name] - plain[0][name] > 0.5) == follows
+
+
+def test_few_levels_leave_a_comb_at_their_number(plain):
+    encoded = np.stack(ycbcr_to_rgb_planes(*np.moveaxis((SCENE + white(0)) / 255, -1, 0)), -1)
+    few = np.stack(rgb_to_ycbcr_planes(*np.moveaxis(np.rint(20 * encoded) / 20, -1, 0)), -1)
+    found = measured(255 * few - SCENE)
+    combs = {n: found[f"levels intensity {n:02d}"] - plain[0][f"levels intensity {n:02d}"] for n in LEVELS}
+    assert max(combs, key=combs.get) in (20, 80)  # all multiples of the number
+    assert combs[20] > 0.5 > combs[32]
 
 
 def test_an_error_of_the_mean_at_edges_is_no_noise(plain):
