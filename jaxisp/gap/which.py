@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
-from jaxisp.gap.refit import Trial, Whole, distant, lowest, refit, searched, switched_on
+from jaxisp.gap.refit import FARTHEST, Trial, Whole, distant, lowest, refit, searched, switched_on
 from jaxisp.gap.solve import modest, solve
 
 LEADING = 0.25
@@ -65,8 +65,8 @@ def _anyway(problem: Measured, name: str) -> float:
 
 
 def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
-    """The accepted trial that closes most, or of those that close about as much the one whose pictures are
-    clearly nearest; one that another can imitate in full is preferred to it.
+    """The accepted trial that closes most, or of those that close about as much or are nearer by far the one
+    whose pictures are clearly nearest; one that another can imitate in full is preferred to it.
 
     Args:
         trials: of one step.
@@ -79,7 +79,7 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
     shown = [t for t in accepted if t.effect in seen and t.closed >= LEADING]
     if shown:
         return shown[0]
-    first = _nearest([t for t in accepted if t.closed > _AS_MUCH * accepted[0].closed])
+    first = _nearest([t for t in accepted if _rivals(t, accepted[0])])
     for other in (t for t in accepted if t is not first):
         imitated = other.effect in EFFECTS[first.effect].contains and other.closed > 0.93 * first.closed
         simpler = len(EFFECTS[other.effect].moves) < len(EFFECTS[first.effect].moves)
@@ -87,6 +87,13 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
         if (imitated or as_good) and not told_by_pixels(first, other):
             first = other
     return first
+
+
+def _rivals(other: Trial, most: Trial) -> bool:
+    """Whether an effect closes about as much as what closes most, or could lead and is so much nearer in
+    pixels as one that is as much farther would be refused for."""
+    nearer = told_by_pixels(other, most) and other.farther < most.farther - FARTHEST
+    return other.closed > _AS_MUCH * most.closed or (other.closed >= LEADING and nearer)
 
 
 def _nearest(trials: Sequence[Trial]) -> Trial:

@@ -57,7 +57,20 @@ def test_of_two_that_close_about_as_much_the_nearer_is_named_alone():
     assert lookalikes(near, [near, warp]) == [] and lookalikes(warp, [near, warp]) == [near.effect]
     grain = trial("film_grain", 0.73, 0.6, 0.8)  # adds noise, which moves no mean
     assert best([near, grain]) is grain and lookalikes(near, [near, grain]) == ["film_grain"]
-    assert best([dataclasses.replace(near, closed=0.5), warp]) is warp
+    assert best([dataclasses.replace(near, closed=0.5, farther=-0.15), warp]) is warp
+
+
+def test_what_brings_pixels_nearer_by_far_comes_first_where_it_could_lead():
+    """Denoising closes more statistics of a lens that parts the colours, and leaves them where they are."""
+    denoising, lens = (
+        trial("luma_denoising", 0.6, 0.5, 0.7),
+        trial("lateral_chromatic_aberration", 0.4, 0.3, 0.5),
+    )
+    near = dataclasses.replace(lens, farther=-0.27)
+    assert best([denoising, lens]) is denoising and best([denoising, near]) is near
+    assert best([dataclasses.replace(denoising, farther=-0.1), near]) is not near
+    assert best([denoising, dataclasses.replace(near, closed=0.2)]) is denoising
+    assert best([dataclasses.replace(denoising, effect="film_grain"), near]).effect == "film_grain"
 
 
 def test_what_the_nearest_may_have_been_taken_for_is_tried_too():
