@@ -91,7 +91,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
                 trials, promises = trials | {"film_grain": grain}, promises | {"film_grain": grain.gain}
         if could and causes and max(t.closed for t, _ in causes) >= LEADING:
             after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
-            if accounted(kind, names, before, after, gap, left, NULL_EXCESS[kind]):
+            if accounted(kind, names, before, after, gap, left):
                 return Found(by_closure(causes), trials, promises, before, after)
             refused = refused or Refused(by_closure(causes), after, problem.model, problem.z.copy())
     return Found([], trials, promises, before, before, refused)

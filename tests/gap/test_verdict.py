@@ -38,7 +38,7 @@ STEPS = [(trial("first", 1.0, 11.0, 4.0, "other"), ["alike"]), (trial("second", 
 def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
     """A last step that only looks like a cause takes none of those before it along."""
 
-    def account(kind, names, before, after, gap, left, excess):
+    def account(kind, names, before, after, gap, left):
         assert (gap, before.error) == (Gap(11.0, 1.0), 0.0)
         assert left == {1.0: 4.0, 2.0: 2.0}[after.error]  # what is left where the problem stands
         assert names == ["first", "second"][: int(after.error)]
