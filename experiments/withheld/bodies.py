@@ -134,6 +134,17 @@ def toe_and_power(x: np.ndarray) -> np.ndarray:
     return y * (1 - 0.2 * np.exp(-12 * y)) / (1 - 0.2 * np.exp(-12.0))
 
 
+def saturating(x: np.ndarray) -> np.ndarray:
+    """As film does: an exponential approach to white, encoded by a power."""
+    return np.power(-np.expm1(-1.6 * np.clip(x, 0, 1)) / -np.expm1(-1.6), 1 / 2.1)
+
+
+def broadcast_with_lifted_shadows(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0, 1)
+    y = np.where(x < 0.018, 4.5 * x, 1.099 * np.power(np.maximum(x, 1e-6), 0.45) - 0.099)
+    return y + 0.1 * y * (1 - y) ** 2
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -209,7 +220,21 @@ BODIES = {
             intermediate_bits=13, exposure=0.92, spot=0.5, luma_share=0.02,
             bright=Noise(11000.0, 3.0), dim=Noise(1300.0, 7.0),
         ),
+        Body(
+            "maple", "GRBG", 12, 300.0, (1.7, 1.0, 2.1),
+            _matrix((1.55, -0.45, -0.1), (-0.22, 1.42, -0.2), (0.03, -0.53, 1.5)),
+            saturating, "variable-gradients", "bilinear", 95, encoder="opencv", order="balance-last",
+            exposure=0.85, spot=0.5, sign=-1, bright=Noise(13000.0, 2.5), dim=Noise(1700.0, 8.0),
+            standing=("demosaicking",),
+        ),
+        Body(
+            "nutmeg", "RGGB", 14, 600.0, (2.1, 1.0, 1.4),
+            _matrix((1.48, -0.33, -0.15), (-0.24, 1.5, -0.26), (0.01, -0.45, 1.44)),
+            broadcast_with_lifted_shadows, "malvar", "hamilton-adams", 93, sampling="4:2:2",
+            border="cells", exposure=0.9, spot=0.55, luma_share=0.03, intermediate_bits=14,
+            bright=Noise(17000.0, 5.0), dim=Noise(1900.0, 10.0),
+        ),
     )
 }  # fmt: skip
-LATER = ("juniper", "katsura", "larch")
+LATER = ("juniper", "katsura", "larch", "maple", "nutmeg")
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
