@@ -27,6 +27,8 @@ _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 _OPPOSED = {"diagonals": ((1, 1), (1, -1)), "sides": ((0, 1), (1, 0))}
 _DARK = 70.0  # luma below which read noise is most of the noise
 _PLAIN, _PLAINLY = 0.05, 0.2  # a correlation from scene to scene that is no chance: of pixels, of spots
+_OUTLIER = 4.0  # standard deviations beyond which noise is a matter of tails
+_FEW = 2.5  # standard deviations of noise beyond which a pixel counts no more among those around
 _STRIPE = 16  # px: lines are measured on every second stripe, and on the stripes between
 _GUARD = 4  # px between the parts of stripes that bands of lines are measured on: grain reaches as far
 Found = dict[str, jax.Array]
@@ -51,12 +53,23 @@ def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
 def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Codes) -> Found:
     """Spread, spectrum, correlation, lines, tails and grids of one residual's noise."""
     flat = flatness(s, mask)
+    whole = r - blurred(r, 2.5)
+    r = r - whole + _without_outliers(whole, flat)
     smooth = [blurred(r, sigma) for sigma in (1.0, 2.5, 6.0)]
     bands = [r - smooth[0], smooth[0] - smooth[1], smooth[1] - smooth[2]]
     high = r - smooth[1]
     found = _spread(high, bands, s, mask, flat) | _correlations(high, flat, s[..., 0]) | _lines(r, flat)
-    found |= _tails(high[..., 0], s[..., 0], flat) | _grids(high, y, flat) | comb_part(y, s, flat, seen)
+    found |= _tails(whole[..., 0], s[..., 0], flat) | _grids(high, y, flat) | comb_part(y, s, flat, seen)
     return found | _levels(y, flat)
+
+
+def _without_outliers(high: jax.Array, flat: jax.Array) -> jax.Array:
+    """Noise (h, w, C) cut off where it is far beyond what it is around: a few hot pixels, which may lie
+    anywhere, would decide on all that is measured; tails are looked at apart."""
+    weight = flat + 0.02  # of edges, where nothing is flat around
+    size = blurred(jnp.abs(high) * weight[..., None], 4.0) / gaussian_blur(weight, 4.0, 12)[..., None]
+    most = _OUTLIER * jnp.sqrt(jnp.pi / 2) * (size + 0.1)
+    return jnp.clip(high, -most, most)
 
 
 def _levels(y: jax.Array, flat: jax.Array) -> Found:
@@ -195,7 +208,9 @@ def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array)
         high = plane - jnp.stack([gaussian_blur(v, 1.5, 5) for v in plane])
         clipped = jnp.clip(high / (jnp.sqrt((high**2).mean((1, 2), keepdims=True)) + 0.1), -4, 4)
         found[f"pattern fixed_pattern {name} pixel"] = _repeated(clipped, others)
-        coarse = jnp.stack([gaussian_blur(v, 2.0, 6) - gaussian_blur(v, 8.0, 24) for v in plane])
+        most = _FEW * jnp.sqrt((high**2).mean((1, 2), keepdims=True)) + 0.1
+        even = jnp.clip(plane, -most, most)  # a hot pixel is no spot
+        coarse = jnp.stack([gaussian_blur(v, 2.0, 6) - gaussian_blur(v, 8.0, 24) for v in even])
         found[f"coarse fixed_pattern {name}"] = _repeated(coarse, others, _PLAINLY)
         if c == 0:
             found["pattern fixed_pattern bright"] = _repeated(clipped * light, others)

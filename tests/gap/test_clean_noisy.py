@@ -148,12 +148,14 @@ def test_without_a_header_the_grid_says_which_compression_it_was(tmp_path):
         case = noisy_case.clean_case(loaded, None, few, 0, lambda *a: None)
         return sorted(case.offered), case.seen
 
-    whole, cropped = tmp_path / "whole", tmp_path / "cropped"
-    write(whole, "alder", {"jpeg_quantization": 4}, "clean+noisy", size=SIZE, count=2)
-    cropped.mkdir()
-    (cropped / "dataset.toml").write_bytes((whole / "dataset.toml").read_bytes())
-    for picture in whole.glob("*.png"):
-        Image.fromarray(np.asarray(Image.open(picture))[3:, 5:]).save(cropped / picture.name)
+    shot, whole, cropped = (tmp_path / name for name in ("shot", "whole", "cropped"))
+    write(shot, "alder", {"jpeg_quantization": 4}, "clean+noisy", size=SIZE, count=2)
+    for folder, top, left in ((whole, 0, 0), (cropped, 3, 5)):  # of one size: they share a program
+        folder.mkdir()
+        (folder / "dataset.toml").write_bytes((shot / "dataset.toml").read_bytes())
+        for picture in shot.glob("*.png"):
+            part = np.asarray(Image.open(picture))[top : top + SIZE - 8, left : left + SIZE - 8]
+            Image.fromarray(part).save(folder / picture.name)
     assert offered(whole) == (["jpeg_quantization"], ())
     assert offered(cropped) == (["double_compression", "jpeg_quantization"], ("double_compression",))
 

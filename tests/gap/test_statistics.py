@@ -98,6 +98,17 @@ def test_lines_do_not_answer_to_the_level_of_white_noise(plain):
     assert loud["logvar intensity Y3"] == pytest.approx(plain[0]["logvar intensity Y3"] + np.log(4), abs=0.1)
 
 
+def test_a_few_hot_pixels_are_a_matter_of_tails(plain):
+    """They lie anywhere: where and in what grid they happen to lie is no property of the noise."""
+    hot = np.zeros((N, H, W))
+    hot[:, [3, 9, 101, 105], [5, 121, 9, 119]] = 80.0  # corners, odd rows, odd columns
+    found = measured(white(0) + luma(hot))
+    for name in ("logvar radius Y", "logvar cfa_phase Y11", "logvar intensity Y3", "logvar frequency Y0"):
+        assert abs(found[name] - plain[0][name]) < 0.08, name
+    assert abs(found["coarse fixed_pattern Y"] - plain[0]["coarse fixed_pattern Y"]) < 0.1
+    assert found["pattern tail peaks"] - plain[0]["pattern tail peaks"] > 0.05
+
+
 def test_bands_of_lines_do_not_answer_to_grain(plain):
     """Grain of 1.6 px, the widest that the effect of that name has, reaches over the border of stripes."""
     rng = np.random.default_rng(11)
