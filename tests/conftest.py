@@ -1,6 +1,7 @@
 """Shared test images and settings. Devices are forced to 8 so that sharding is tested on any machine."""
 
 import functools
+import gc
 import os
 import tempfile
 
@@ -21,6 +22,7 @@ from hypothesis import settings
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")
+gc.set_threshold(200_000, 20, 100)  # tracing makes millions of small objects that stay: a sixth of the time
 
 quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 """Compiles in half the time: for gradients of small pictures, which take no time to run."""
