@@ -11,13 +11,15 @@ import numpy as np
 
 from jaxisp.gap.effects import AXES, CLEAN_NOISY, EFFECTS, RAW_JPEG
 from jaxisp.gap.measured import Gap, Measured
+from jaxisp.gap.refit import FARTHEST
 
 Rows = Sequence[dict[str, Any]]
 """Axes, as `where` of report.json has them."""
 
 ACCOUNTED = {RAW_JPEG: ((0.5, 0.67),), CLEAN_NOISY: ((0.3, 0.85), (1.2, 0.95))}
 """Where causes leave more than the first of these above the floor, in floors, all together must close the
-second of the gap. Statistics are imitated more closely than pixels. See docs/diagnosis.md for the cameras."""
+second of the gap. Statistics are imitated more closely than pixels, but where these come nearer by
+`FARTHEST` too. See docs/diagnosis.md for the cameras."""
 _MAIN = 0.1
 """What share of the gap an axis must have to be one that it lies on."""
 _KEPT, _SEEN = {RAW_JPEG: 0.3, CLEAN_NOISY: 0.5}, {RAW_JPEG: 0.15, CLEAN_NOISY: 0.5}
@@ -71,7 +73,8 @@ def accounted(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap
         left: the gap with them.
     """
     more, closed = (left - gap.floor) / gap.floor, (gap.before - left) / gap.scale
-    if any(more >= most and closed < least for most, least in ACCOUNTED[kind]):
+    nearer = after.distance < (1 - FARTHEST) * before.distance  # no stranger brought pixels as near
+    if any(more >= most and closed < least for most, least in ACCOUNTED[RAW_JPEG if nearer else kind]):
         return False
     if kept_axes(kind, causes, before, after, gap):
         return False

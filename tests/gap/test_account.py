@@ -40,6 +40,14 @@ def test_causes_close_most_of_the_gap_or_leave_little(kind, gap, left, said):
     assert accounted(kind, ["row_noise"], *states, Gap(gap, 1.0), left) == said
 
 
+@pytest.mark.parametrize(("distance", "said"), [(41.0, False), (39.0, True)])
+def test_what_brings_pixels_nearer_may_leave_more_of_the_statistics(distance, said):
+    """A filter of another form than the camera's; strangers bring pixels a fifth nearer at most."""
+    states = statistics(50.0, 40.0, edge=9.0), statistics(distance, 40.0, edge=1.0)
+    assert accounted(CLEAN, ["luma_denoising"], *states, Gap(31.0, 1.0), 9.0) == said
+    assert not accounted(CLEAN, ["luma_denoising"], *states, Gap(31.0, 1.0), 12.0)
+
+
 BEFORE = pixels(12.0, frequency=0.5, orientation=0.25, lag=0.2, hue=0.05, radius=0.2)
 
 
