@@ -141,7 +141,6 @@ def _of_noise() -> Iterator[tuple[str, str]]:
         for a, b in (("Y", "Cb"), ("Y", "Cr"), ("Cb", "Cr")):
             yield f"corr channel {a}{b} {part}", f"{a} noise and {b} noise together, in {where}"
         yield f"corr orientation diagonals {part}", f"noise along one diagonal against the other, in {where}"
-        yield f"corr orientation sides {part}", f"noise along rows against along columns, in {where}"
     for part, where in (("dark", "the dark"), ("bright", "the light")):
         yield f"tail tail kurtosis {part}", f"heaviness of both tails (kurtosis), in {where}"
         yield f"tail tail skew {part}", f"lopsidedness (skew), in {where}"

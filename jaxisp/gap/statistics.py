@@ -24,7 +24,6 @@ LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
 LEVELS = tuple(range(8, 81, 6))
 """Values up to white that posterisation may leave."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
-_OPPOSED = {"diagonals": ((1, 1), (1, -1)), "sides": ((0, 1), (1, 0))}
 _DARK = 70.0  # luma below which read noise is most of the noise
 _PLAIN, _PLAINLY = 0.05, 0.2  # a correlation from scene to scene that is no chance: of pixels, of spots
 _OUTLIER = 4.0  # standard deviations beyond which noise is a matter of tails
@@ -108,9 +107,8 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
             for lag in _LAGS[: 6 if c == 0 else 3]:
                 product = high[..., c] * jnp.roll(high[..., c], lag, (0, 1))
                 found[f"corr lag {name}{lag} {part}"] = (product * weight).sum() / power[c]
-        for what, (one, other) in _OPPOSED.items():
-            apart = found[f"corr lag Y{one} {part}"] - found[f"corr lag Y{other} {part}"]
-            found[f"corr orientation {what} {part}"] = apart
+        one, other = (found[f"corr lag Y{lag} {part}"] for lag in ((1, 1), (1, -1)))
+        found[f"corr orientation diagonals {part}"] = one - other  # rows and columns have axes of their own
         for a, b in ((0, 1), (0, 2), (1, 2)):
             product = (high[..., a] * high[..., b] * weight).sum()
             found[f"corr channel {CHANNELS[a]}{CHANNELS[b]} {part}"] = product / jnp.sqrt(power[a] * power[b])
@@ -128,7 +126,7 @@ def _lines(r: jax.Array, flat: jax.Array) -> Found:
         place, inner = at // _STRIPE % 2, at % _STRIPE < _STRIPE - _GUARD
         sides, apart = (
             [flat * jnp.expand_dims((place == side) & counted, 1 - axis) for side in (0, 1)]
-            for counted in (inner | True, inner)
+            for counted in (jnp.ones_like(inner), inner)
         )
         for c, name in enumerate(CHANNELS):
             fine, bands = (
