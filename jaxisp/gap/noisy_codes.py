@@ -59,8 +59,9 @@ def unknown_codes(shape: tuple[int, int]) -> Codes:
     return Codes(jnp.linspace(0, 1, _TABLE), jnp.eye(3), jnp.asarray(sites, jnp.float32))
 
 
-def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dict[str, jax.Array]:
-    """The characteristic function of differences of next neighbours of one colour, in one picture (h, w, 3).
+def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dict[tuple[str, ...], jax.Array]:
+    """The characteristic function of differences of next neighbours of one colour, in one picture (h, w, 3):
+    values by their names.
 
     Args:
         y: the picture, s the noise-free one, in Y'CbCr steps.
@@ -73,11 +74,8 @@ def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dic
     read = ((light @ seen.inverse.T) * seen.sites).sum(-1)
     dark = jax.nn.sigmoid((_BRIGHT - s[..., 0]) / 8)
     values = _spectrum(read, jnp.stack([weight * dark, weight * (1 - dark)]))
-    return {
-        f"code intensity {name}{k:02d}": values[k, side]
-        for side, name in enumerate(("dark", "light"))
-        for k in range(len(FREQUENCIES))
-    }
+    names = (f"code intensity {name}{k:02d}" for k in range(len(FREQUENCIES)) for name in ("dark", "light"))
+    return {tuple(names): values.ravel()}
 
 
 def cosine(turns: jax.Array) -> jax.Array:

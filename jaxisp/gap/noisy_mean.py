@@ -1,6 +1,9 @@
 """Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture."""
 
 import functools
+import itertools
+from collections.abc import Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +14,18 @@ from jaxisp.windows import gaussian_blur
 CHANNELS = ("Y", "Cb", "Cr")
 _LUMA = tuple(255 * k / 7 for k in range(8))
 Maps = tuple[jax.Array, jax.Array]
+Found = dict[tuple[str, ...], jax.Array]
+"""Values (..., K) by their K names: computed together, since what is compiled would else take seconds."""
+
+
+def named(pattern: str, *parts: Iterable[Any]) -> tuple[str, ...]:
+    """The pattern filled with every combination of the parts, the last fastest."""
+    return tuple(pattern.format(*filled) for filled in itertools.product(*parts))
 
 
 def blurred(stack: jax.Array, sigma: float) -> jax.Array:
     """(h, w, C)."""
-    radius = int(np.ceil(3 * sigma))
-    return jnp.stack([gaussian_blur(stack[..., c], sigma, radius) for c in range(stack.shape[-1])], -1)
+    return gaussian_blur(stack, sigma, int(np.ceil(3 * sigma)))
 
 
 def tents(x: jax.Array, knots: tuple[float, ...]) -> list[jax.Array]:
@@ -35,19 +44,19 @@ def regressors(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
     """From the noise-free picture (h, w, 3) in steps: the channel a map is looked for in, and the map, by
     "axis name"."""
     maps: dict[str, tuple[int, jax.Array]] = {}
+    smooth, wide = blurred(s, 0.8), blurred(s, 2.0)
     for c, name in enumerate(CHANNELS):
-        maps |= {f"{key} {name} {what}": (c, m) for (key, what), m in _of_channel(s, c).items()}
-    return maps | _of_luma(s) | _of_colour(s)
+        maps |= {f"{key} {name} {what}": (c, m) for (key, what), m in _of_channel(s, smooth, wide, c).items()}
+    return maps | _of_luma(s[..., 0], smooth[..., 0]) | _of_colour(s)
 
 
-def _of_channel(s: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
+def _of_channel(s: jax.Array, smooth: jax.Array, wide: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
     h, w = s.shape[:2]
     y = s[..., 0]
     rows, columns = (jnp.arange(n) - (n - 1) / 2 for n in (h, w))
     corner = jnp.hypot(rows[-1], columns[-1])
     ry, rx = rows[:, None] / corner, columns[None, :] / corner
     r2 = ry**2 + rx**2
-    smooth = blurred(s, 0.8)
     gy, gx = (jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (0, 1))
     maps = {("intensity", str(k)): tent for k, tent in enumerate(tents(y, _LUMA))}
     maps["radius", "gain"] = y * (r2 - r2.mean())
@@ -56,7 +65,6 @@ def _of_channel(s: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
     outward = ry * gy[..., own] + rx * gx[..., own]
     maps["edge", "shift"], maps["edge", "shift3"] = outward, outward * r2
     maps["edge", "down"], maps["edge", "right"] = gy[..., own], gx[..., own]
-    wide = blurred(s, 2.0)
     maps["frequency", "fine"] = s[..., c] - smooth[..., c]
     maps["frequency", "coarse"] = smooth[..., c] - wide[..., c]
     if c:
@@ -69,9 +77,8 @@ def _of_channel(s: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
     return maps
 
 
-def _of_luma(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
-    y = s[..., 0]
-    smooth, mean = gaussian_blur(y, 0.8, 3), gaussian_blur(y, 14.0, 42)
+def _of_luma(y: jax.Array, smooth: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+    mean = gaussian_blur(y, 14.0, 42)
     maps: dict[str, tuple[int, jax.Array]] = {}
     for name, (down, across) in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
         moved = [jnp.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
@@ -109,15 +116,16 @@ def normalised_regressors(s: jax.Array, mask: jax.Array) -> list[tuple[Maps, ...
 @jax.jit
 def _all_normalised(s: jax.Array, mask: jax.Array) -> tuple[Maps, ...]:
     def one(pair: tuple[jax.Array, jax.Array]) -> tuple[Maps, ...]:
-        return tuple(_normalised(pair[0], pair[1], channel) for channel in range(3))
+        found = sorted(regressors(pair[0]).items())
+        own = ([m for _, (c, m) in found if c == channel] for channel in range(3))
+        return tuple(_normalised(jnp.stack(maps), pair[1]) for maps in own)
 
     found: tuple[Maps, ...] = jax.lax.map(one, (s, mask))
     return found
 
 
-def _normalised(picture: jax.Array, m: jax.Array, channel: int) -> Maps:
-    found = regressors(picture)
-    maps = jnp.stack([v * m for _, (c, v) in sorted(found.items()) if c == channel])
+def _normalised(maps: jax.Array, m: jax.Array) -> Maps:
+    maps = maps * m
     norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
     maps = (maps / norm[:, None, None]).reshape(len(maps), -1)
     gram = jnp.einsum("kp,lp->kl", maps, maps, precision="highest")

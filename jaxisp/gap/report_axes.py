@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxisp.gap.noisy_codes import FREQUENCIES
 from jaxisp.gap.noisy_mean import CHANNELS
-from jaxisp.gap.statistics import LEVELS, LUMA
+from jaxisp.gap.noisy_noise import LEVELS, LUMA
 
 _LARGEST = 6  # statistics of an axis that are shown
 STATISTICS = {

@@ -41,8 +41,8 @@ def test_a_comb_is_found_at_its_step_and_not_without(cfa):
     values = {}
     for name, light in (("plain", read), ("comb", step * np.rint(read / step))):
         y = jnp.asarray(picture(light), jnp.float32)
-        found = comb_part(y, jnp.full_like(y, 60.0), jnp.ones(SHAPE), seen)
-        values[name] = {key: float(v) for key, v in found.items()}
+        ((names, found),) = comb_part(y, jnp.full_like(y, 60.0), jnp.ones(SHAPE), seen).items()
+        values[name] = dict(zip(names, np.asarray(found).tolist(), strict=True))
     assert values["comb"][f"code intensity dark{k:02d}"] > 0.95
     assert abs(values["plain"][f"code intensity dark{k:02d}"]) < 0.1
     assert values["comb"][f"code intensity dark{k - 2:02d}"] < 0.5
