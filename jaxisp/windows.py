@@ -128,8 +128,10 @@ def _shifts(padded: jax.Array, taps: int, axis: int) -> list[jax.Array]:
 def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
     """`sum_k taps[k] x[i + k]` along an axis."""
     count = taps.shape[0]
-    terms = [taps[k] * v for k, v in enumerate(_shifts(padded, count, axis))]
-    parts = [reduce(jnp.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
+    # of `lax`: what `jnp` and operators do takes ten times as long to trace, and there are many taps
+    each = [lax.index_in_dim(taps, k, keepdims=False) for k in range(count)]
+    terms = [lax.mul(lax.broadcast(t, v.shape), v) for t, v in zip(each, _shifts(padded, count, axis))]
+    parts = [reduce(lax.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
     shape = list(padded.shape)
     shape[axis] -= count - 1
     return reduce(lambda total, part: materialize(total) + part, parts).reshape(shape)
