@@ -22,6 +22,8 @@ from jaxisp.stages.choice import ChromaSubsampling
 KNOTS = 12
 HALVED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
 """Whether a file halves columns and rows of chroma."""
+EXPANSION = "expansion"
+"""The node that undoes what was done to the mosaic before it was demosaicked."""
 _FILE_STAGES = ("rounding", "jpeg", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
 
 
@@ -226,6 +228,8 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     else:
         scene = -1
     camera = next(i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out == CAMERA) + 1
+    if nodes[camera].name == EXPANSION:  # a part of demosaicking
+        camera += 1
     encoded = next(i for i, n in enumerate(nodes) if n.domain_out == ENCODED and i >= camera)
     end = len(nodes)
     while is_file(nodes[end - 1]):

@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.effects import Effect, Move
-from jaxisp.gap.model import HALVED, Coordinate, Model, build, plain_freedom
+from jaxisp.gap.model import EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
 from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import ChromaSubsampling
 from jaxisp.stages.jpeg import JpegTables
+from jaxisp.stages.power import Gamma
 
 NOISE = ("shot", "read", "red_gain", "blue_gain")
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
 _BALANCES = ("to_raw", "early_balance", "later_balance")
+_COMPANDED = ("companding", EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
 """Effects that act on what the sensor reads, shot noise and all, before white is balanced."""
@@ -34,6 +36,7 @@ class Camera:
         algorithm: that demosaicks.
         gains: of red and blue.
         late: whether white is balanced after demosaicking.
+        gamma: of the values that are demosaicked: 1 for linear ones, 2 for their square roots.
         share: of a typical colour matrix, that takes the sensor's primaries to those of the clean picture.
     """
 
@@ -42,6 +45,7 @@ class Camera:
     algorithm: str = "bilinear"
     gains: tuple[float, float] = (2.0, 1.6)
     late: bool = False
+    gamma: float = 1.0
     share: float = 0.7
 
     def chain(self) -> tuple[Chain, Params]:
@@ -49,6 +53,11 @@ class Camera:
         file's compression."""
         mosaic, late = stage("mosaic_white_balance", cfa=self.cfa), stage("white_balance")
         encoder, tables = encoder_of(self.file)
+        demosaicking: list[Any] = [stage("demosaicking", cfa=self.cfa, algorithm=self.algorithm)]
+        if self.gamma != 1:
+            around = ("gamma_compression", "gamma_expansion")
+            before, after = (Stage(stage(fn).fn, name) for fn, name in zip(around, _COMPANDED))
+            demosaicking = [before, *demosaicking, after]
         nodes: list[Any] = [
             Stage(stage("color_matrix").fn, "primaries"),
             stage("mosaic", cfa=self.cfa),
@@ -56,7 +65,7 @@ class Camera:
             stage("balanced_noise", cfa=self.cfa),
             Stage(mosaic.fn, _BALANCES[0], mosaic.static),
             Stage(mosaic.fn, _BALANCES[1], mosaic.static),
-            stage("demosaicking", cfa=self.cfa, algorithm=self.algorithm),
+            *demosaicking,
             Stage(late.fn, _BALANCES[2], late.static),
             stage("clip", name="white_level", low=-1.0),
             stage("color_matrix"),
@@ -66,7 +75,9 @@ class Camera:
             encoder,
         ]
         chain = Chain(tuple(nodes), "plain")
-        return chain, chain.init() | balances(self.gains, self.late) | tables
+        params = chain.init() | balances(self.gains, self.late) | tables
+        gamma = Gamma(gamma=np.float32(self.gamma))
+        return chain, params | {name: gamma for name in _COMPANDED if name in params}
 
     def mean_model(self, params: Params) -> Model:
         """Without noise, and with no more of the file than its chroma sampling."""
@@ -79,7 +90,7 @@ class Camera:
             own[_FILE] = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
         still = Chain(nodes, "plain")
         names = set(still.init())
-        own |= {name: value for name, value in params.items() if name not in _BALANCES}
+        own |= {name: value for name, value in params.items() if name not in (*_BALANCES, *_COMPANDED)}
         own |= primaries(own["color_matrix"].matrix @ own["primaries"].matrix, self.share)
         own = {name: value for name, value in own.items() if name in names}
         return build(still, own, {}, plain_freedom(), [])

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp.domains import RGB
+from jaxisp.domains import Image
 from jaxisp.linear import pointwise
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -49,7 +49,7 @@ class Gamma:
 
 
 @register
-def gamma_compression(params: Gamma, image: RGB) -> RGB:
+def gamma_compression(params: Gamma, image: Image) -> Image:
     """Compress by a power law.
 
     `y = x**(1 / gamma)` from 0.001 up, 0 to 0 and 1 to 1; below 0.001 a parabola that joins with the same
@@ -57,10 +57,10 @@ def gamma_compression(params: Gamma, image: RGB) -> RGB:
 
     Args:
         params: gamma.
-        image: (H, W, 3), any range.
+        image: (H, W) or (H, W, 3), any range.
 
     Returns:
-        (H, W, 3) in the domain of the image, not clipped.
+        The same shape in the domain of the image, not clipped.
 
     Gradient: exact.
 
@@ -70,17 +70,17 @@ def gamma_compression(params: Gamma, image: RGB) -> RGB:
 
 
 @register
-def gamma_expansion(params: Gamma, image: RGB) -> RGB:
+def gamma_expansion(params: Gamma, image: Image) -> Image:
     """Undo `gamma_compression` of the same gamma.
 
     `y = x**gamma` from 0.001**(1 / gamma) up; below, the inverse of the parabola; odd about 0.
 
     Args:
         params: gamma.
-        image: (H, W, 3), any range.
+        image: (H, W) or (H, W, 3), any range.
 
     Returns:
-        (H, W, 3) in the domain of the image, not clipped.
+        The same shape in the domain of the image, not clipped.
 
     Gradient: exact.
 

@@ -19,6 +19,7 @@ from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.prepare import candidates
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
+from jaxisp.pipeline import Chain, run, stage
 from tests.conftest import smooth_image
 
 COUNT, SIZE = 4, 128
@@ -137,6 +138,26 @@ def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
     camera, _ = fit_mean(None, pairs, (0, 2), None)
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
     np.testing.assert_allclose(camera.gains, (2.2, 1.4), atol=0.3)
+
+
+def test_demosaicking_of_square_roots_is_found(tmp_path):
+    """On linear values nothing has its errors at edges, and gains that balance late would make up for it."""
+    write(tmp_path, "maple", {"nothing": 1}, "clean+noisy", size=SIZE, count=COUNT)
+    pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
+    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    assert (camera.cfa, camera.algorithm, camera.late, camera.gamma) == ("GRBG", "vng", True, 2.0)
+
+
+def test_what_is_demosaicked_is_companded_and_expanded():
+    camera = Camera(None, "GRBG", "bilinear", gamma=2.0)
+    model = camera.whole_model(camera.mean_model({}), candidates("clean+noisy"))
+    names = [node.name for node in model.chain.nodes]
+    at = names.index("companding")
+    assert names[at : at + 3] == ["companding", "demosaicking", "expansion"]  # no effect between
+    mosaic = jnp.asarray(smooth_image((24, 26), 1), jnp.float32)
+    found = run(Chain(model.chain.nodes[at : at + 3]), model.shared, mosaic)
+    rooted = run(stage("demosaic_bilinear", cfa="GRBG"), {}, jnp.sqrt(mosaic))
+    np.testing.assert_allclose(found, rooted**2, atol=1e-5)
 
 
 def test_without_a_header_the_grid_says_which_compression_it_was(tmp_path):
