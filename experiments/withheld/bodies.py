@@ -145,6 +145,23 @@ def broadcast_with_lifted_shadows(x: np.ndarray) -> np.ndarray:
     return y + 0.1 * y * (1 - y) ** 2
 
 
+def ratio_of_powers(x: np.ndarray) -> np.ndarray:
+    """A power over itself plus a constant, as photographic receptors respond."""
+    x = np.clip(x, 0, 1)
+    return 1.45 * x**0.62 / (x**0.62 + 0.45)
+
+
+def white_point_then_broadcast(x: np.ndarray) -> np.ndarray:
+    """Light compressed so that four times white would be white, then the broadcast curve."""
+    x = np.clip(x, 0, 1)
+    y = x * (1 + x / 16) / (1 + x) * 32 / 17
+    return np.where(y < 0.018, 4.5 * y, 1.099 * np.power(np.maximum(y, 1e-6), 0.45) - 0.099)
+
+
+def arc_tangent(x: np.ndarray) -> np.ndarray:
+    return srgb_encode(np.arctan(1.3 * np.clip(x, 0, 1)) / np.arctan(1.3))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -234,7 +251,28 @@ BODIES = {
             border="cells", exposure=0.9, spot=0.55, luma_share=0.03, intermediate_bits=14,
             bright=Noise(17000.0, 5.0), dim=Noise(1900.0, 10.0),
         ),
+        # drawn by np.random.default_rng(20261123) but for the curves
+        Body(
+            "oak", "GBRG", 10, 27.0, (1.56, 1.0, 1.73),
+            _matrix((1.7, -0.41, -0.29), (-0.3, 1.36, -0.06), (-0.47, -0.03, 1.49)),
+            ratio_of_powers, "bilinear", "hamilton-adams", 97, sampling="4:2:2", encoder="opencv",
+            order="balance-last", border="own", exposure=0.92, spot=0.52, luma_share=0.05,
+            intermediate_bits=12, sign=-1, bright=Noise(19000.0, 2.4), dim=Noise(1100.0, 8.0),
+        ),
+        Body(
+            "poplar", "GBRG", 14, 304.0, (2.33, 1.0, 1.41),
+            _matrix((1.78, -0.55, -0.24), (-0.16, 1.29, -0.13), (-0.31, -0.07, 1.38)),
+            white_point_then_broadcast, "hamilton-adams", "malvar", 93, sampling="4:2:0",
+            order="balance-last", border="own", exposure=0.81, spot=0.48, luma_share=0.05,
+            intermediate_bits=14, bright=Noise(19000.0, 3.6), dim=Noise(2100.0, 9.0),
+        ),
+        Body(
+            "rowan", "BGGR", 14, 256.0, (1.86, 1.0, 1.43),
+            _matrix((1.55, -0.39, -0.16), (-0.16, 1.35, -0.19), (-0.04, -0.13, 1.17)),
+            arc_tangent, "malvar", "bilinear", 94, order="balance-last", exposure=0.81, spot=0.47,
+            luma_share=0.03, intermediate_bits=14, bright=Noise(14000.0, 3.7), dim=Noise(2200.0, 10.0),
+        ),
     )
 }  # fmt: skip
-LATER = ("juniper", "katsura", "larch", "maple", "nutmeg")
+LATER = ("juniper", "katsura", "larch", "maple", "nutmeg", "oak", "poplar", "rowan")
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
