@@ -3,7 +3,9 @@
 import functools
 import gc
 import os
+import resource
 import tempfile
+from pathlib import Path
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -24,8 +26,19 @@ settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True
 settings.load_profile("ci")
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of small objects that stay: a sixth of the time
 
+_MOST_MEMORY = 3e9  # bytes
 quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 """Compiles in half the time: for gradients of small pictures, which take no time to run."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def room():
+    """A worker that has gigabytes of programs and traces forgets them: two such fill a small machine."""
+    yield
+    status = Path("/proc/self/statm")
+    if status.exists() and int(status.read_text().split()[1]) * resource.getpagesize() > _MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture
