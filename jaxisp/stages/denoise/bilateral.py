@@ -271,7 +271,8 @@ def _over_disc(
 ) -> Planes:
     """Add `terms(moved planes, squared distance)` to `start` over a disc without its centre.
 
-    The terms are traced once, and called: the compiler puts them in line, which takes a tenth of the time.
+    The terms are traced once, and called: the compiler puts them in line. Tracing the gradient takes an
+    eighth of the time.
     """
     terms = jax.jit(terms)
     span = range(-radius, radius + 1)
