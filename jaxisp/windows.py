@@ -128,7 +128,8 @@ def _shifts(padded: jax.Array, taps: int, axis: int) -> list[jax.Array]:
 def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
     """`sum_k taps[k] x[i + k]` along an axis."""
     count = taps.shape[0]
-    # of `lax`: what `jnp` and operators do takes ten times as long to trace, and there are many taps
+    # by `lax`: with operators a blur takes twice as long to trace
+    taps = taps.astype(padded.dtype)
     each = [lax.index_in_dim(taps, k, keepdims=False) for k in range(count)]
     terms = [lax.mul(lax.broadcast(t, v.shape), v) for t, v in zip(each, _shifts(padded, count, axis))]
     parts = [reduce(lax.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]

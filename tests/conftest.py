@@ -3,7 +3,6 @@
 import functools
 import gc
 import os
-import resource
 import tempfile
 from pathlib import Path
 
@@ -36,7 +35,7 @@ def room():
     """A worker that has gigabytes of programs and traces forgets them: two such fill a small machine."""
     yield
     status = Path("/proc/self/statm")
-    if status.exists() and int(status.read_text().split()[1]) * resource.getpagesize() > _MOST_MEMORY:
+    if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
 

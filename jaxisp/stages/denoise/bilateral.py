@@ -284,7 +284,7 @@ def _over_disc(
             total = materialize(total)
         some = taps[first : first + group]
         for (dy, dx), moved in zip(some, zip(*(views(x, some, radius) for x in padded))):
-            more = _paired(terms(moved, np.float32(dy * dy + dx * dx)))
+            more = _paired(terms(moved, dy * dy + dx * dx))
             total = tuple(t + m for t, m in zip(total, more))
     return _parted(materialize(total), len(start))
 
