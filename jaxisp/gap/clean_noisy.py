@@ -17,7 +17,7 @@ from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.noisy_pairs import by_scene, scene_name
-from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts
+from jaxisp.gap.noisy_start import noisier, placed, starts, told_by_noise
 from jaxisp.gap.noisy_units import (
     axis_of,
     by_place,
@@ -70,7 +70,7 @@ class StatisticsProblem:
         self._weights, self._counted = weights(), np.ones_like(weights())
         self._emphasis: np.ndarray | None = None
         self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
-        self.fresh: Sequence[int] = noise_indices(model)
+        self.fresh: Sequence[int] = told_by_noise(model)
         self.real = self.measured(self.target)
         self.floors = np.ones(len(pairs.names))
         self._numbers = list(range(len(pairs.names)))  # of the keys

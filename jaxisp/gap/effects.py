@@ -44,7 +44,7 @@ class Move:
         far: changes from which a fit may start as well, one move after the other; the probe is one of them
             where that lowers the error. Where edges have moved by more than their width, a small probe sees
             nothing of a warp.
-        spread: the standard deviation of what is believed of the change beforehand.
+        usual, spread: mean and standard deviation of what is believed of the change beforehand.
     """
 
     field: str
@@ -57,6 +57,7 @@ class Move:
     fine: float = 0.0
     both_sides: bool = False
     far: tuple[float, ...] = ()
+    usual: float = 0.0
     spread: float = math.inf
 
 

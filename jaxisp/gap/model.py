@@ -6,7 +6,7 @@ is on. At z = 0 the picture is the base's, bit for bit.
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -63,6 +63,7 @@ class Model:
         shared: parameters at z = 0, the same for all pairs.
         per_pair: parameters with a leading axis over the pairs; they hold where both have a node.
         kept: what was rendered, shared with the models made of this one.
+        tied: puts what follows from other parameters, and so is no coordinate, into them.
     """
 
     chain: Chain
@@ -71,6 +72,7 @@ class Model:
     shared: Params
     per_pair: Params
     kept: Kept = dataclasses.field(default_factory=Kept, compare=False, repr=False)
+    tied: Callable[[Params], Params] | None = None
 
     @functools.cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -97,6 +99,11 @@ class Model:
         return np.array([[c.move.low for c in self.coordinates], [c.move.high for c in self.coordinates]])
 
     @functools.cached_property
+    def usual(self) -> np.ndarray:
+        """(Z,) where moves are believed to end beforehand."""
+        return np.array([c.move.usual for c in self.coordinates])
+
+    @functools.cached_property
     def precisions(self) -> np.ndarray:
         """(Z,) what is believed of the moves beforehand: one over the square of their spread."""
         return np.array([c.move.spread**-2 for c in self.coordinates])
@@ -121,6 +128,7 @@ class Model:
         params = dict(self.shared)
         for node, fields in changed.items():
             params[node] = dataclasses.replace(params[node], **fields)
+        params = self.tied(params) if self.tied else params
         switches = {f"use_{name}" for name in self.effects} & set(params)
         return params | {s: Switch(on=np.float32(s.removeprefix("use_") in on)) for s in switches}
 

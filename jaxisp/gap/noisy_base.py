@@ -1,6 +1,7 @@
 """Clean+noisy pairs: the plain camera that is their base, and what of it is free."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,8 +18,12 @@ from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.power import Gamma
 
 NOISE = ("shot", "read", "red_gain", "blue_gain")
+_USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
+"""What sensors need in daylight and indoors, and by how much that differs."""
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
+MIXING = "mixing"
+"""The node that takes what the sensor saw back to the clean picture's colours."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _COMPANDED = ("companding", EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
@@ -37,7 +42,8 @@ class Camera:
         gains: of red and blue.
         late: whether white is balanced after demosaicking.
         gamma: of the values that are demosaicked: 1 for linear ones, 2 for their square roots.
-        share: of a typical colour matrix, that takes the sensor's primaries to those of the clean picture.
+        share: of a typical colour matrix, that takes the sensor's primaries to those of the clean picture;
+            where the noise's fit begins.
     """
 
     file: Jpeg | None
@@ -49,8 +55,8 @@ class Camera:
     share: float = 0.7
 
     def chain(self) -> tuple[Chain, Params]:
-        """Scene to picture: mosaic, noise, demosaicking, white level, one matrix, sRGB, one curve, the
-        file's compression."""
+        """Scene to picture: the sensor's primaries, mosaic, noise, demosaicking, white level, back to the
+        clean picture's primaries, one matrix, sRGB, one curve, the file's compression."""
         mosaic, late = stage("mosaic_white_balance", cfa=self.cfa), stage("white_balance")
         encoder, tables = encoder_of(self.file)
         demosaicking: list[Any] = [stage("demosaicking", cfa=self.cfa, algorithm=self.algorithm)]
@@ -68,6 +74,7 @@ class Camera:
             *demosaicking,
             Stage(late.fn, _BALANCES[2], late.static),
             stage("clip", name="white_level", low=-1.0),
+            Stage(stage("color_matrix").fn, MIXING),
             stage("color_matrix"),
             stage("srgb_oetf"),
             Stage(stage("spline_curve").fn, "tone_curve"),
@@ -91,17 +98,17 @@ class Camera:
         still = Chain(nodes, "plain")
         names = set(still.init())
         own |= {name: value for name, value in params.items() if name not in (*_BALANCES, *_COMPANDED)}
-        own |= primaries(own["color_matrix"].matrix @ own["primaries"].matrix, self.share)
+        own |= primaries(np.eye(3) + self.share * TYPICAL)
         own = {name: value for name, value in own.items() if name in names}
         return build(still, own, {}, plain_freedom(), [])
 
     def whole_model(self, mean: Model, effects: Sequence[Effect]) -> Model:
-        """The noisy base with every effect in it, off; its mean is that of `mean`."""
+        """The noisy base with every effect in it, off; its mean is that of `mean`, whatever the primaries."""
         chain, params = self.chain()
         shared = params | {name: value for name, value in mean.shared.items() if name != _FILE}
         free = (*noise_freedom(shared), *narrowed(plain_freedom()))
         model = build(chain, shared, {}, free, effects, keep_file=True)
-        return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]))
+        return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]), tied=_tied)
 
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
@@ -143,23 +150,42 @@ def read_out(chain: Chain, after: str) -> Chain:
 
 
 def noise_freedom(params: Params) -> list[Coordinate]:
-    """The noise of the base, each number free to shrink to its least and to grow as its stage allows."""
+    """What the noise of the base tells of: its own numbers, each free to shrink to its least and to grow as
+    its stage allows, and the matrix from the sensor's primaries but for its diagonal."""
     found = []
     for field, least, most in zip(NOISE, (2e-5, 3e-4, 0.2, 0.2), (0.1, 0.2, 8.0, 8.0)):
         value = float(getattr(params["balanced_noise"], field))
         step = 0.25 * max(value, 4 * least)
-        found.append(Coordinate("balanced_noise", Move(field, step, min(0.0, least - value), most - value)))
+        move = Move(field, step, min(0.0, least - value), most - value)
+        if field in _USUAL_GAINS:
+            usual, spread = _USUAL_GAINS[field]
+            move = dataclasses.replace(move, usual=usual - value, spread=spread)
+        found.append(Coordinate("balanced_noise", move))
+    for i, j in itertools.permutations(range(3), 2):
+        value = float(np.asarray(params[MIXING].matrix)[i, j])
+        usual = Camera.share * TYPICAL[i, j] - value
+        move = Move(
+            "matrix", 0.05, min(-1.2 - value, 0.0), max(0.4 - value, 0.0), (i, j), usual=usual, spread=0.3
+        )
+        found.append(Coordinate(MIXING, move))
     return found
 
 
-def primaries(matrix: Any, share: float) -> Params:
-    """The scene seen in a sensor's primaries, and the matrix that undoes that and then does its own.
+def primaries(mixing: Any) -> Params:
+    """The scene seen in a sensor's primaries, and the matrix that undoes that.
 
-    How the two share what the clean picture's colours need is told by what demosaicking does at edges.
+    What demosaicking does at edges tells of it, and how far the noise of channels is alike.
+
+    Args:
+        mixing: (3, 3) from the sensor's primaries; its diagonal is taken to be such that white stays.
     """
-    mixing = np.eye(3) + share * TYPICAL
-    before, after = np.linalg.inv(mixing), np.asarray(matrix) @ mixing
-    return {
-        "primaries": ColorMatrix(matrix=np.asarray(np.clip(before, -4, 4), np.float32)),
-        "color_matrix": ColorMatrix(matrix=np.asarray(np.clip(after, -4, 4), np.float32)),
-    }
+    found = np.array(mixing, np.float64)
+    np.fill_diagonal(found, 0)
+    np.fill_diagonal(found, 1 - found.sum(1))
+    before = np.clip(np.linalg.pinv(found), -4, 4)
+    both = {"primaries": before, MIXING: found}
+    return {name: ColorMatrix(matrix=np.asarray(matrix, np.float32)) for name, matrix in both.items()}
+
+
+def _tied(params: Params) -> Params:
+    return params | primaries(params[MIXING].matrix)

@@ -116,7 +116,7 @@ def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> jax.Array:
 def _start(given: Given, mean: Problem) -> ColorMatrix:
     """The plain base's colours, seen before the camera's own gains and matrix."""
     plain = mean.model.moved(mean.z).shared
-    wanted = plain["color_matrix"].matrix @ plain["primaries"].matrix
+    wanted = np.asarray(plain["color_matrix"].matrix, float)
     for own in given.params.values():
         if isinstance(own, ColorMatrix) and own is not given.params[_MATRIX]:
             wanted = np.linalg.pinv(np.asarray(own.matrix, float), rcond=0.02) @ wanted

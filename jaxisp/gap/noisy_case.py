@@ -112,8 +112,7 @@ def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
     if mean is None:
         return np.clip(np.asarray(oetf.fn(light)), 0, 1)
     shared = mean.model.moved(mean.z).shared
-    matrix = shared["color_matrix"].matrix @ shared["primaries"].matrix
-    linear = mean.pairs.light @ jnp.asarray(matrix, jnp.float32).T
+    linear = mean.pairs.light @ jnp.asarray(shared["color_matrix"].matrix, jnp.float32).T
     encoded = jax.vmap(lambda x: curve.fn(shared["tone_curve"], oetf.fn(x)))(linear)
     return np.clip(np.asarray(encoded), 0, 1)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxisp import cfa as bayer
 from jaxisp.color import ycbcr_to_rgb_planes
+from jaxisp.gap.noisy_base import MIXING
 from jaxisp.pipeline import Params, run, stage
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
@@ -45,7 +46,7 @@ def codes(shared: Params, cfa: str, gains: tuple[float, float], shape: tuple[int
     encoded = np.asarray(curved)[0, :, 0]
     encoded = np.maximum.accumulate(encoded) + 1e-6 * np.arange(len(linear))
     light = np.interp(np.linspace(0, 1, _TABLE), encoded, linear)
-    matrix = np.asarray(shared["color_matrix"].matrix, float)
+    matrix = np.asarray(shared["color_matrix"].matrix @ shared[MIXING].matrix, float)
     inverse = np.linalg.pinv(matrix, rcond=0.02) / np.array([gains[0], 1.0, gains[1]])[:, None]
     whole = (shape[0] + corner, shape[1] + corner)
     sites = np.stack([np.asarray(m, np.float32) for m in bayer.masks(whole, cfa)], -1)[corner:, corner:]

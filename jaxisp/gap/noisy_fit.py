@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.model import Model
-from jaxisp.gap.noisy_base import NOISE, balances, noise_freedom
-from jaxisp.gap.noisy_start import noise_indices
+from jaxisp.gap.noisy_base import balances, noise_freedom
+from jaxisp.gap.noisy_start import noise_indices, told_by_noise
 from jaxisp.gap.noisy_units import noise_only
 from jaxisp.gap.solve import fit
 
@@ -17,8 +17,8 @@ Rebase = Callable[[Model, np.ndarray], Model]
 
 
 def fit_noise(problem: Any, fit_on: Sequence[int], rebase: Rebase) -> None:
-    """The noise that explains the statistics best, then all that is free in the base. Leaves the problem at
-    z = 0 of the model that is found, in its final units."""
+    """The noise that explains the statistics best, with it the sensor's primaries where the base has them
+    free, then all that is free. Leaves the problem at z = 0 of the model found, in its final units."""
     every = np.ones_like(noise_only())
 
     def settle(which: list[int], steps: int, keep: bool = False) -> None:
@@ -28,6 +28,7 @@ def fit_noise(problem: Any, fit_on: Sequence[int], rebase: Rebase) -> None:
     settle(noise_indices(problem.model), steps=5)
     problem.count(every)
     problem.set_unit()
+    settle(told_by_noise(problem.model), steps=4)
     settle(problem.model.base_indices, steps=3, keep=True)
     problem.set_unit(emphasise=True)
     problem.count(noise_only())
@@ -57,5 +58,6 @@ def rebased(model: Model, z: np.ndarray) -> Model:
         noise = moved.shared["balanced_noise"]
         gains = [float(np.clip(g, 0.5, 4)) for g in (noise.red_gain, noise.blue_gain)]
         moved = dataclasses.replace(moved, shared=moved.shared | balances((gains[0], gains[1]), late=False))
-    base = (*noise_freedom(moved.shared), *model.base[len(NOISE) :])
+    noise = noise_freedom(moved.shared)
+    base = (*noise, *model.base[len(noise) :])
     return dataclasses.replace(moved, base=base)

@@ -48,7 +48,7 @@ def typical_matrix(gains: np.ndarray) -> np.ndarray:
 
 
 def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> Prior:
-    """About the matrix, its primaries included, and the curve of the plain base.
+    """About the matrix and the curve of the plain base.
 
     Args:
         problem: noise-free; all of its base is fitted.
@@ -57,7 +57,6 @@ def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> P
     """
     model = problem.model
     at = {(c.node, c.move.field, c.move.index): k for k, c in enumerate(model.base)}
-    inward = np.asarray(model.shared["primaries"].matrix, float)
     matrix = np.asarray(model.shared["color_matrix"].matrix, float)
     offsets = np.asarray(model.shared["tone_curve"].offsets, float)
     usual = typical_matrix(gains)
@@ -70,10 +69,9 @@ def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> P
         wanted.append(value / spread)
 
     for i in range(3):
-        color = [at["color_matrix", "matrix", (i, k)] for k in range(3)]
         for j in range(3):
             spread = gains[i] * _SPREAD["scale" if i == j else "matrix"]
-            add(dict(zip(color, inward[:, j])), usual[i, j] - matrix[i] @ inward[:, j], spread)
+            add({at["color_matrix", "matrix", (i, j)]: 1.0}, usual[i, j] - matrix[i, j], spread)
     curve = [at["tone_curve", "offsets", (i,)] for i in range(len(offsets))]
     for i, k in enumerate(curve):
         add({k: 1.0}, -offsets[i], _SPREAD["offset"])

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
+from jaxisp.gap.noisy_base import MIXING
 from jaxisp.pipeline import signature
 
 _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
@@ -20,6 +21,12 @@ def noise_indices(model: Model) -> list[int]:
     """The coordinates of the base's own noise."""
     random = {s.name for s in model.chain.stages() if signature(s.fn).stochastic}
     return [i for i, c in enumerate(model.base) if c.node in random]
+
+
+def told_by_noise(model: Model) -> list[int]:
+    """The coordinates of the base's own noise, and those of the sensor's primaries: how far the noise of
+    channels is alike."""
+    return [*noise_indices(model), *(i for i, c in enumerate(model.base) if c.node == MIXING)]
 
 
 def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
@@ -55,7 +62,7 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
         point = z.copy()  # a simulator may have some of the moves open
         values = [change[c.move.field, c.move.index] for c in coordinates]
         point[own] = np.clip(values, *model.ranges[:, own])
-        found += [_with_noise(model, point, share) for share in _MORE]
+        found += [_with_noise(model, place, share) for place in _places(model, point) for share in _MORE]
     return found if len(found) > 1 else []
 
 
@@ -63,8 +70,19 @@ def noisier(model: Model, z: np.ndarray, i: int) -> list[np.ndarray]:
     """The point, and with more and more of the base's noise: what smooths it, as coordinate i may unless it
     is a noise itself, has been imitated by less."""
     node = model.coordinates[i].node
-    random = node in EFFECTS and EFFECTS[node].random
-    return [z, *(() if random else (_with_noise(model, z, share) for share in _MORE[1:]))]
+    if node in EFFECTS and EFFECTS[node].random:
+        return [z]
+    places = _places(model, z)
+    return [*places, *(_with_noise(model, place, share) for place in places for share in _MORE[1:])]
+
+
+def _places(model: Model, z: np.ndarray) -> list[np.ndarray]:
+    """The point, and with gains and primaries as they usually are: what smooths colours has been imitated
+    by others."""
+    known = [i for i in told_by_noise(model) if model.precisions[i] > 0]
+    usual = z.copy()
+    usual[known] = np.clip(model.usual, *model.ranges)[known]
+    return [z, usual] if known else [z]
 
 
 def _with_noise(model: Model, z: np.ndarray, share: float) -> np.ndarray:

@@ -7,7 +7,8 @@ import numpy as np
 
 _RIDGE = 1e-3
 _MODEST = 0.01
-"""By what share of the error a move by its own spread (`Move.spread`) must lower it to be worth it."""
+"""By what share of the error a move by its own spread off what is usual (`Move`) must lower it to be worth
+it."""
 
 
 def solve(gram: np.ndarray, slope: np.ndarray, z: np.ndarray, ranges: np.ndarray) -> np.ndarray:
@@ -54,7 +55,7 @@ def fit(
     """Gauss-Newton over some coordinates on some scenes, in place.
 
     What is minimised is the mean square error, times one and a hundredth for each spread squared by which a
-    move is off, and what a prior adds.
+    move is off what is usual, and what a prior adds.
 
     Args:
         which: the coordinates that move.
@@ -89,17 +90,19 @@ def fit(
 
 
 def modest(problem: Any, which: Sequence[int], error: float) -> tuple[np.ndarray, np.ndarray]:
-    """(K, K) and (K,) that keep moves near to where they began, in proportion to the mean square error: what
+    """(K, K) and (K,) that keep moves near to what is usual, in proportion to the mean square error: what
     a model leaves says how far its figures may be off."""
-    precisions = _MODEST * problem.model.precisions[list(which)]
+    which = list(which)
+    precisions = _MODEST * problem.model.precisions[which]
     weights = error / _excess(problem, problem.z, which) * precisions
-    return np.diag(weights), -weights * problem.z[list(which)]
+    return np.diag(weights), weights * (problem.model.usual - problem.z)[which]
 
 
 def _excess(problem: Any, z: np.ndarray, which: Sequence[int]) -> float:
     """What the error is multiplied by for moves that are off."""
     which = list(which)
-    return 1 + _MODEST * float((problem.model.precisions[which] * z[which] ** 2).sum())
+    off = (z - problem.model.usual)[which]
+    return 1 + _MODEST * float((problem.model.precisions[which] * off**2).sum())
 
 
 class _Point(NamedTuple):

@@ -181,7 +181,7 @@ def search(
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}
     first_promises: dict[str, float] = {} if most and names else screen(problem, left, split)
-    for step in range(most if names else 0):
+    for step in range(min(most, len(names))):
         tick(step, most, "screening effects")
         promises = screen(problem, left, split)
         ranked = sorted(left, key=lambda name: -promises[name])

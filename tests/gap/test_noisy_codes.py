@@ -32,7 +32,11 @@ def picture(read):
 
 @pytest.mark.parametrize("cfa", ["RGGB", "GBRG"])
 def test_a_comb_is_found_at_its_step_and_not_without(cfa):
-    shared = {"tone_curve": SplineCurve(offsets=CURVE), "color_matrix": ColorMatrix(matrix=MATRIX)}
+    shared = {
+        "tone_curve": SplineCurve(offsets=CURVE),
+        "color_matrix": ColorMatrix(matrix=np.eye(3, dtype=np.float32)),
+        "mixing": ColorMatrix(matrix=MATRIX),
+    }
     seen = codes(shared, cfa, GAINS, SHAPE, CORNER)
     rng = np.random.default_rng(5)
     read = 0.06 + 0.012 * rng.normal(size=(*SHAPE, 3))

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.noisy_start import noise_indices, placed, starts
+from jaxisp.gap.noisy_base import MIXING, Camera, primaries
+from jaxisp.gap.noisy_prior import TYPICAL
+from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts, told_by_noise
 from jaxisp.gap.noisy_units import emphasis, emphasised, group_of, weights
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.statistics import feature_names
@@ -49,6 +50,23 @@ def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
     for p in found:
         assert (p[moved] >= model.ranges[0, moved] - 1e-9).all()
         assert (p[moved] <= model.ranges[1, moved] + 1e-9).all()
+
+
+def test_what_smooths_starts_from_usual_colours_too():
+    camera = Camera(None, share=0.1)
+    mean = camera.mean_model({})
+    model = camera.whole_model(mean, candidates("clean+noisy"))
+    z = np.zeros(len(model.coordinates))
+    quality, row = (model.indices([name])[0] for name in ("double_compression", "row_noise"))
+    found = [model.params(p)[MIXING].matrix for p in noisier(model, z, quality)]
+    usual = primaries(np.eye(3) + Camera.share * TYPICAL)[MIXING].matrix
+    assert sum(np.allclose(m, usual, atol=1e-6) for m in found) == len(found) // 2
+    assert (
+        sum(np.allclose(m, mean.shared[MIXING].matrix, atol=1e-6) for m in found)
+        == len(found) - len(found) // 2
+    )
+    assert len(noisier(model, z, row)) == 1
+    assert [model.base[i].node for i in told_by_noise(model)] == 4 * ["balanced_noise"] + 6 * [MIXING]
 
 
 def test_what_has_more_of_the_gap_counts_more():

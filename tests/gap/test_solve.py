@@ -12,10 +12,11 @@ DESIGN, TARGET = RNG.normal(size=(40, 3)), RNG.normal(size=40)
 
 
 class Line:
-    def __init__(self, spreads):
+    def __init__(self, spreads, usual=(0.0, 0.0, 0.0)):
         self.z, self.columns = np.zeros(3), {}
         ranges, precisions = np.array([[-9.0] * 3, [9.0] * 3]), np.array(spreads) ** -2.0
-        self.model = type("M", (), {"ranges": ranges, "precisions": precisions})
+        own = {"ranges": ranges, "precisions": precisions, "usual": np.array(usual)}
+        self.model = type("M", (), own)
 
     def errors(self, z):
         return np.array([((TARGET - DESIGN @ z) ** 2).mean()])
@@ -40,12 +41,13 @@ def test_a_fit_with_a_prior_is_ridge_regression():
     np.testing.assert_allclose(line.z, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-3)
 
 
+@pytest.mark.parametrize("usual", [(0.0, 0.0, 0.0), (0.1, -0.2, 0.05)])
 @pytest.mark.parametrize("spreads", [(np.inf, 0.02, 0.05), (0.01, 0.01, 0.01), (np.inf,) * 3])
-def test_moves_cost_a_hundredth_of_the_error_for_each_spread_squared(spreads):
-    line, weights = Line(spreads), np.array(spreads) ** -2.0
+def test_moves_cost_a_hundredth_of_the_error_for_each_spread_squared(spreads, usual):
+    line, weights = Line(spreads, usual), np.array(spreads) ** -2.0
     for _ in range(8):  # each stops where a step gains little
         fit(line, range(3), [0], steps=20)
     best = scipy.optimize.minimize(
-        lambda z: line.errors(z)[0] * (1 + 0.01 * weights @ z**2), np.zeros(3), tol=1e-12
+        lambda z: line.errors(z)[0] * (1 + 0.01 * weights @ (z - usual) ** 2), np.zeros(3), tol=1e-12
     )
     np.testing.assert_allclose(line.z, best.x, atol=1e-3 * np.abs(best.x).max())

@@ -101,7 +101,7 @@ class Problem:
         self.z = z
 
 
-def searched(monkeypatch, closes, terms):
+def searched(monkeypatch, closes, terms, beside=("prnu",)):
     """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
     asked = []
 
@@ -123,7 +123,7 @@ def searched(monkeypatch, closes, terms):
     monkeypatch.setattr(which, "screen", lambda problem, names, split: {n: closes[n][0] for n in names})
     monkeypatch.setattr(which, "refit", refit)
     whole = Whole(10.0, np.ones((1, 1)))
-    closes = closes | {"prnu": (0.0, 0.0)}
+    closes = closes | dict.fromkeys(beside, (0.0, 0.0))
     causes, *_ = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
     return [t.effect for t, _ in causes], asked
 
@@ -142,6 +142,11 @@ def test_nothing_to_try_finds_nothing(monkeypatch):
     whole = Whole(10.0, np.ones((1, 1)))
     found = search(Problem(), [], Split((0,), (1,)), whole, Terms(0.05, 3), lambda *tick: None)
     assert found == ([], {}, {})
+
+
+def test_all_that_is_tried_may_be_found(monkeypatch):
+    closes = {"chroma_denoising": (0.5, 0.05)}
+    assert searched(monkeypatch, closes, Terms(0.05, 3), beside=())[0] == ["chroma_denoising"]
 
 
 def test_beside_grain_less_can_lead(monkeypatch):
