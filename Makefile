@@ -4,12 +4,15 @@ BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
 
-.PHONY: demo test lint bench notebooks docs clean
+.PHONY: demo test test-all lint bench notebooks docs clean
 
 demo: $(READY)
 	$(BIN)/jaxisp demo --out demo
 
 test: $(READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+test-all: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(READY)

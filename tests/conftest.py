@@ -40,6 +40,15 @@ def room():
         gc.collect()
 
 
+@pytest.fixture(scope="module")
+def quickly():
+    """All programs of a module compile as `quick_jit`'s do: for small pictures, where code that is not
+    optimised takes no time to run, and what is asked is how programs agree."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

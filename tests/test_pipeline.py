@@ -15,6 +15,8 @@ from jaxisp.pipeline import Chain, Gate, Shuffle, Stage, register, run, run_batc
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 
 @parameters
 class Gain:

@@ -13,6 +13,8 @@ from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 KEY = jax.random.key(5)
 IMAGES = np.stack([smooth_image((24, 32, 3), i) for i in range(8)]).astype(np.float32)
 CONTRACT = {

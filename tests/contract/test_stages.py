@@ -14,6 +14,8 @@ from jaxisp.pipeline import run, run_batch, sections, signature, stage
 from jaxisp.stages import STAGES
 from tests.conftest import quick_jit, smooth_image
 
+pytestmark = pytest.mark.usefixtures("quickly")
+
 SHAPE = (21, 34)
 NAMES = sorted(STAGES)
 each_stage = pytest.mark.parametrize("name", NAMES, scope="module")

@@ -26,6 +26,7 @@ def psnr(a, b):
     return -10 * np.log10(np.mean((np.asarray(a) - b) ** 2))
 
 
+@pytest.mark.slow
 def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     (pair,) = result.pairs
     before = psnr(pair.start[8:-8, 8:-8], pair.target[8:-8, 8:-8])
@@ -157,6 +158,7 @@ def test_the_best_of_several_starts_is_taken(own):
         fit_examples([given], starts=9)
 
 
+@pytest.mark.slow
 def test_each_image_can_have_its_own_exposure(own):
     _, given = own
     darker = dataclasses.replace(given, name="darker", picture=0.8 * given.picture)
@@ -195,6 +197,7 @@ def merged(shot):
     return dataclasses.replace(shot, name="hdr", picture=picture, jpeg=None)
 
 
+@pytest.mark.slow
 def test_a_merge_of_exposures_is_refused_with_its_figure(own, tmp_path):
     _, given = own
     write_pairs(tmp_path, PHONES["a"], {"hdr": scene("astronaut", (192, 256))})

@@ -76,6 +76,7 @@ def test_the_alignment_finds_a_radial_distortion(rng, pixels):
 LITTLE_BLUE = pytest.mark.xfail(strict=True, reason="blue's scale is 0.12 px off, see docs/fitting.md")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chelsea", pytest.param("coffee", marks=LITTLE_BLUE)])
 def test_a_phone_that_corrects_its_lens(name, tmp_path, monkeypatch):
     """Distortion and lateral colour are recovered to 0.1 px in the corner, and shift nothing else."""

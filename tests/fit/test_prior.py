@@ -18,6 +18,7 @@ from jaxisp.samples import scene
 from tests.fit.test_fitter import psnr
 
 
+@pytest.mark.slow
 def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys):
     result.camera.save(tmp_path / "camera.toml")
     recipe = prior_from_cameras([tmp_path / "camera.toml", result.camera])

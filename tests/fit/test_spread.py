@@ -62,6 +62,7 @@ def test_eight_devices_give_the_equations_of_one(folder):
     assert np.abs(places[0].vector - places[1].vector).max() < 1e-3 * np.abs(places[1].vector).max()
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_bits_of_one(folder, spread, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -86,6 +86,7 @@ def test_the_command_writes_both_files(tmp_path, capsys):
     assert "<html" in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_what_is_excluded_is_not_named(tmp_path):
     write(tmp_path, BODY, {"vignetting": 4}, size=128, count=4)
     report = diagnose(tmp_path, exclude=["vignetting"]).report

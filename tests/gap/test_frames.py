@@ -37,6 +37,7 @@ def diagnosed(folder, amount):
     return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
 
 
+@pytest.mark.slow
 def test_a_fixed_pattern_is_named(tmp_path):
     report = diagnosed(tmp_path, 0.03)
     assert report["where"][0]["axis"] == "fixed_pattern"

@@ -126,6 +126,7 @@ def radial(size=128):
     return 1 - 0.35 * (y**2 + x**2) / (2 * (size / 2) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lacking", ["nothing", "vignetting"])
 def test_what_a_simulator_lacks_is_named(tmp_path, lacking):
     recipe = simulator()

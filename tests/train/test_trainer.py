@@ -186,6 +186,7 @@ def test_a_kill_within_a_checkpoint_loses_no_good_one(config, whole, stopped, tm
     assert curve(run) == curve(whole.run)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_curve_of_one(config, whole, tmp_path):
     """One is told where to meet, the other finds it in what Slurm sets."""
     run, port = tmp_path / "run", slurm_port()
