@@ -162,6 +162,21 @@ def arc_tangent(x: np.ndarray) -> np.ndarray:
     return srgb_encode(np.arctan(1.3 * np.clip(x, 0, 1)) / np.arctan(1.3))
 
 
+def hyperbolic_sine(x: np.ndarray) -> np.ndarray:
+    """Its inverse, as astronomers compress light: a line near black, a logarithm above."""
+    return np.arcsinh(25 * np.clip(x, 0, 1)) / np.arcsinh(25.0)
+
+
+def half_displaced_root(x: np.ndarray) -> np.ndarray:
+    """Half the display's curve, half a square root that is moved to be steep but finite at black."""
+    x = np.clip(x, 0, 1)
+    return 0.5 * srgb_encode(x) + 0.5 * (np.sqrt(1 + 24 * x) - 1) / 4
+
+
+def hyperbolic_tangent(x: np.ndarray) -> np.ndarray:
+    return srgb_encode(np.tanh(1.4 * np.clip(x, 0, 1)) / np.tanh(1.4))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -272,7 +287,40 @@ BODIES = {
             arc_tangent, "malvar", "bilinear", 94, order="balance-last", exposure=0.81, spot=0.47,
             luma_share=0.03, intermediate_bits=14, bright=Noise(14000.0, 3.7), dim=Noise(2200.0, 10.0),
         ),
+        # by np.random.default_rng(20261124)
+        Body(
+            "spruce", "RGGB", 14, 1114.0, (1.63, 1.0, 1.64),
+            _matrix((1.79, -0.34, -0.45), (-0.48, 1.73, -0.25), (-0.44, -0.4, 1.84)),
+            hyperbolic_sine, "hamilton-adams", "malvar", 92, sampling="4:2:2", encoder="opencv",
+            exposure=0.86, spot=0.57, luma_share=0.04, bright=Noise(14000.0, 2.3), dim=Noise(1700.0, 7.0),
+        ),
+        Body(
+            "tamarack", "RGGB", 14, 497.0, (2.14, 1.0, 1.53),
+            _matrix((1.43, -0.39, -0.04), (-0.45, 1.56, -0.11), (-0.17, -0.32, 1.49)),
+            half_displaced_root, "edge-aware", "malvar", 94, sampling="4:2:2", encoder="opencv",
+            border="own", exposure=0.85, spot=0.52, bright=Noise(13000.0, 4.5), dim=Noise(1300.0, 7.0),
+            standing=("demosaicking",),
+        ),
+        Body(
+            "walnut", "GBRG", 14, 913.0, (2.1, 1.0, 1.94),
+            _matrix((1.93, -0.52, -0.41), (-0.05, 1.1, -0.05), (-0.33, -0.52, 1.85)),
+            hyperbolic_tangent, "bilinear", "hamilton-adams", 94, sampling="4:2:2", border="cells",
+            exposure=0.8, spot=0.59, luma_share=0.02, intermediate_bits=14, sign=-1,
+            bright=Noise(13000.0, 4.3), dim=Noise(1000.0, 8.0),
+        ),
     )
 }  # fmt: skip
-LATER = ("juniper", "katsura", "larch", "maple", "nutmeg", "oak", "poplar", "rowan")
+LATER = (
+    "juniper",
+    "katsura",
+    "larch",
+    "maple",
+    "nutmeg",
+    "oak",
+    "poplar",
+    "rowan",
+    "spruce",
+    "tamarack",
+    "walnut",
+)
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
