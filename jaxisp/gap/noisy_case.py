@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.gap import prepare
+from jaxisp.gap import noisy_phase, prepare
 from jaxisp.gap.clean_noisy import StatisticsProblem
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import CLEAN_NOISY, Effect
@@ -34,6 +34,8 @@ _SMOOTHING = 2.0
 _STRAY = 12.0
 """How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
 were fitted to few colours say nothing of others."""
+_PASSES = 3
+"""How often pairs may be moved to a pattern that all have: the first is that of a mixture."""
 _UNLIKE = 0.25
 """Logarithm of the exposure by which a scene differs from the others beyond what is the fit's error."""
 
@@ -72,7 +74,8 @@ def clean_case(
     if simulator is not None:  # a fault here should not cost a fit
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
-    camera, mean = fit_mean(file, pairs, split.fit, described.cfa if described else None)
+    cfa = described.cfa if described else None
+    camera, mean = fit_mean(file, pairs, split.fit, cfa)
     strays = _strays(mean, split)
     kept = [p for p in loaded if p.name not in strays]
     if 1 < len(kept) < len(loaded):
@@ -83,6 +86,14 @@ def clean_case(
         stated.add("chroma_subsampling")
     if simulator is None:
         case = plain_case(camera, mean, split, effects, seed, tick)
+        for _ in range(_PASSES if file is None else 0):  # a file's own grid would be elsewhere
+            by = noisy_phase.moves(case.problem.real, case.problem.simulated(case.problem.z), mean)
+            if not by.any():
+                break
+            tick(0, 3, "fitting the base again: pairs are cut at different places of the colour filter array")
+            pairs = noisy_phase.moved(pairs, by)
+            camera, mean = fit_mean(file, pairs, split.fit, cfa)
+            case = plain_case(camera, mean, split, effects, seed, tick)
     else:
         if is_camera:
             given, pairs = of_camera(simulator, effects, camera, mean, split.fit)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
-from jaxisp.gap import EFFECTS, diagnose, noisy_case
+from jaxisp.gap import EFFECTS, diagnose, noisy_case, noisy_phase
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import MIXING, Camera, noise_freedom, primaries
@@ -33,21 +33,25 @@ def shot(folder, body, name, level):
     return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
 
 
-def with_row_noise(folder):
-    """The package's own camera: row noise is sealed in the study, and its pictures are kept for that."""
+def own_camera(folder, row_noise=0.0, places=((0, 0),) * COUNT):
+    """The package's own camera, its pictures cut at these places: row noise is sealed in the study, and its
+    pictures are kept for that."""
+    folder.mkdir(exist_ok=True)
+    room = np.max(places)
     chain, params = Camera(None, "RGGB", "malvar").chain()
     effects = [e for e in candidates("clean+noisy") if e.name == "row_noise"]
     shared = params | primaries(np.eye(3) + 0.9 * TYPICAL)
     model = build(chain, shared, {}, plain_freedom(), effects, keep_file=True)
-    found = scenes("one", SIZE, COUNT)
+    found = scenes("one", SIZE + int(room), COUNT)
     light = jnp.asarray(np.stack(list(found.values())), jnp.float32)
     z = np.zeros(len(model.coordinates))
-    z[model.indices(["row_noise"])] = 0.012
+    z[model.indices(["row_noise"])] = row_noise
     noisy = model.render(z, light, jax.random.split(jax.random.key(9), COUNT))
-    for name, clean, picture in zip(found, light, noisy):
+    for name, clean, picture, (top, left) in zip(found, light, noisy, places):
         encoded = np.where(clean <= 0.0031308, 12.92 * clean, 1.055 * clean ** (1 / 2.4) - 0.055)
         for ending, a in ((".clean.png", encoded), (".noisy.png", picture)):
-            Image.fromarray(np.rint(255 * np.clip(a, 0, 1)).astype(np.uint8)).save(folder / (name + ending))
+            part = np.rint(255 * np.clip(a, 0, 1)).astype(np.uint8)[top : top + SIZE, left : left + SIZE]
+            Image.fromarray(part).save(folder / (name + ending))
     return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
 
 
@@ -56,7 +60,7 @@ def diagnosed(tmp_path_factory):
     return {
         "nothing": shot(tmp_path_factory.mktemp("nothing"), "alder", "nothing", 1),
         "vignetting": shot(tmp_path_factory.mktemp("vignetting"), "alder", "vignetting", 4),
-        "row_noise": with_row_noise(tmp_path_factory.mktemp("row_noise")),
+        "row_noise": own_camera(tmp_path_factory.mktemp("row_noise"), row_noise=0.012),
     }
 
 
@@ -76,6 +80,16 @@ def test_row_noise_is_seen_on_its_axis(diagnosed):
     report = diagnosed["row_noise"]
     assert report["verdict"] != "none"
     assert "row" in [w["axis"] for w in report["where"][:3]]
+
+
+@pytest.mark.slow
+def test_pairs_may_be_cut_anywhere(tmp_path, monkeypatch):
+    """Crops at odd places have no pattern in common."""
+    report = own_camera(tmp_path / "cut", places=((0, 0), (1, 0), (0, 1), (1, 1)))
+    assert report["verdict"] == "none" and report["gap"]["before"] < 1.5 * report["gap"]["floor"]
+    monkeypatch.setattr(noisy_phase, "moves", lambda *arguments: np.zeros((COUNT, 2), int))
+    kept = own_camera(tmp_path / "kept", places=((0, 0), (1, 0), (0, 1), (1, 1)))
+    assert kept["gap"]["before"] > 2 * report["gap"]["before"] and kept["where"][0]["axis"] == "cfa_phase"
 
 
 def test_a_report_keeps_the_contract(diagnosed):
