@@ -48,6 +48,7 @@ def test_toml_round_trip(name):
     assert back.chain == recipe.chain
 
 
+@pytest.mark.slow
 def test_the_phone_is_the_same_bits_at_any_batch_size_and_on_eight_devices():
     recipe = RECIPES["phone"]()
     whole = np.asarray(recipe.degrade(KEY, IMAGES)[0])

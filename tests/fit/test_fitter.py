@@ -110,6 +110,7 @@ def test_halved_chroma_is_found_where_no_file_states_it(own, refitted, result):
     assert "chroma_subsampling" not in result.camera.prior  # its file states it, and the encoder does it
 
 
+@pytest.mark.slow
 def test_the_demosaicker_that_was_used_is_found(own):
     _, given = own
     found = fit_examples([given], steps=3, median="none")
