@@ -30,6 +30,7 @@ from jaxisp.gap.noisy_units import (
 )
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names, features, frames_of, mean_features
+from jaxisp.gap.threads import each
 
 _REPLICATES = 4
 _FEWEST = 4  # scenes that tell how they differ
@@ -289,13 +290,16 @@ class StatisticsProblem:
         return own | {"real": part.measured(part.target)}
 
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
-        for i in set(which) - set(self.columns):
+        def column(i: int) -> np.ndarray:
             behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
             here = (behind == self.z).all()
             before = (self._simulated, self._toned) if here else self._seen(behind)
             change, moved = (a - b for a, b in zip(self._seen(ahead), before))
             own = self._mean(self._scale * self._counted * change)
-            self.columns[i] = np.concatenate([own, moved], 1) / step
+            return np.concatenate([own, moved], 1) / step
+
+        new = sorted(set(which) - set(self.columns))
+        self.columns.update(zip(new, each(column, new)))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         spoiled = self._spoiled(self.difference)

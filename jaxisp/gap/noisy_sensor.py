@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.threads import each
 from jaxisp.pipeline import Params
 from jaxisp.stages.choice import DEMOSAICKERS
 
@@ -122,5 +123,5 @@ def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
 
 def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
     """The first of those whose error is the least but for a hair."""
-    errors = np.array([view.error(c, params) for c in choices])
+    errors = np.array(each(lambda choice: view.error(choice, params), choices))
     return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]

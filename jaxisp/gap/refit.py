@@ -9,6 +9,7 @@ from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Choice
 from jaxisp.gap.solve import fit
+from jaxisp.gap.threads import each
 
 SMALLEST = 0.05
 """The lower end of an accepted effect's interval of closure."""
@@ -169,7 +170,8 @@ def _fit_with(
 
 def _best_of(points: Sequence[np.ndarray], problem: Measured, seen: Sequence[int]) -> np.ndarray:
     """The point that leaves the least error."""
-    return min(points, key=lambda z: problem.errors(z)[list(seen)].mean())
+    errors = each(lambda z: problem.errors(z)[list(seen)].mean(), points)
+    return points[int(np.argmin(errors))]
 
 
 def _from_afar(part: Measured, own: Sequence[int], seen: Sequence[int]) -> np.ndarray:
@@ -186,7 +188,8 @@ def distant(problem: Measured, names: Sequence[str]) -> dict[int, float]:
     at_rest, found = problem.errors(problem.z).mean(), {}
     for i in problem.model.indices(names):
         tried = problem.model.coordinates[i].move.far
-        errors = [problem.errors(problem.placed(problem.z, i, problem.z[i] + v)).mean() for v in tried]
+        points = [problem.placed(problem.z, i, problem.z[i] + v) for v in tried]
+        errors = each(lambda z: problem.errors(z).mean(), points)
         if errors and min(errors) < at_rest:
             found[i] = tried[int(np.argmin(errors))]
     return found
@@ -200,7 +203,8 @@ def searched(problem: Measured, names: Sequence[str]) -> list[int]:
 def lowest(problem: Measured, i: int, seen: Sequence[int]) -> float:
     """Which change of the grid leaves the least error."""
     seen, grid = list(seen), problem.model.coordinates[i].move.grid
-    return min(grid, key=lambda v: problem.errors(problem.placed(problem.z, i, v))[seen].mean())
+    errors = each(lambda v: problem.errors(problem.placed(problem.z, i, v))[seen].mean(), grid)
+    return grid[int(np.argmin(errors))]
 
 
 def _nearby(problem: Measured, i: int, share: float, seen: Sequence[int]) -> np.ndarray:

@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
 from jaxisp.gap.model import Choice, Model
+from jaxisp.gap.threads import each
 from jaxisp.gap.where import where
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import run, stage
@@ -186,10 +187,14 @@ class Problem:
             which: the coordinates.
             steps: how far some are moved, where it is not the usual probe.
         """
-        for i in set(which) - set(self.columns):
+
+        def column(i: int) -> np.ndarray:
             behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
             before = self.current if (behind == self.z).all() else self.picture(behind)
-            self.columns[i] = (self.picture(ahead) - before) * (self.weight / np.float32(step))
+            return np.asarray((self.picture(ahead) - before) * (self.weight / np.float32(step)))
+
+        new = sorted(set(which) - set(self.columns))
+        self.columns.update(zip(new, each(column, new)))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""

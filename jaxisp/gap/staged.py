@@ -5,6 +5,7 @@ again. Here each node is compiled when it is first on, and runs where it, or wha
 """
 
 import functools
+import threading
 from collections import OrderedDict
 from typing import Any
 
@@ -24,11 +25,12 @@ _SET = 8
 
 
 class Kept:
-    """The pictures between nodes, the last used of them, by what they depend on."""
+    """The pictures between nodes, the last used of them, by what they depend on; threads may share it."""
 
     def __init__(self) -> None:
         self.pictures: OrderedDict[Any, jax.Array] = OrderedDict()
         self._lights: list[jax.Array] = []  # held on to, so that an id stays theirs
+        self._lock = threading.Lock()
 
     def root(self, light: jax.Array, keys: jax.Array | None) -> Any:
         """What the first picture goes by."""
@@ -37,15 +39,16 @@ class Kept:
         return id(light), None if keys is None else np.asarray(jax.random.key_data(keys)).tobytes()
 
     def get(self, key: Any) -> jax.Array | None:
-        if key not in self.pictures:
-            return None
-        self.pictures.move_to_end(key)
-        return self.pictures[key]
+        with self._lock:
+            if key in self.pictures:
+                self.pictures.move_to_end(key)
+            return self.pictures.get(key)
 
     def put(self, key: Any, picture: jax.Array) -> None:
-        self.pictures[key] = picture
-        while len(self.pictures) > max(_BYTES // max(picture.nbytes, 1), _FEWEST):
-            self.pictures.popitem(last=False)
+        with self._lock:
+            self.pictures[key] = picture
+            while len(self.pictures) > max(_BYTES // max(picture.nbytes, 1), _FEWEST):
+                self.pictures.popitem(last=False)
 
 
 def render(
@@ -68,8 +71,10 @@ def render(
         mine = [{n: p[n] for n in node.names() if n in p} for p in (shared, per_pair)]
         owned.append(mine)
         names.append(hash((names[-1], node, _bytes(mine))))
-    done = next((k for k in range(len(todo), 0, -1) if kept.get(names[k]) is not None), 0)
-    picture = kept.pictures[names[done]] if done else _whole_sets(light)
+    known = ((k, kept.get(names[k])) for k in range(len(todo), 0, -1))
+    done, picture = next(((k, found) for k, found in known if found is not None), (0, None))
+    if picture is None:
+        picture = _whole_sets(light)
     if keys is not None:
         keys = _whole_sets(keys)
     for k in range(done, len(todo)):
