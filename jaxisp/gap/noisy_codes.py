@@ -4,7 +4,7 @@ A converter of few levels leaves differences of neighbours that are multiples of
 matrix are undone with those of the fitted base, which need only be about right for that.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,14 @@ import numpy as np
 from jaxisp import cfa as bayer
 from jaxisp.color import ycbcr_to_rgb_planes
 from jaxisp.gap.noisy_base import MIXING
+from jaxisp.numerics import materialize
 from jaxisp.pipeline import Params, run, stage
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
 """Levels per unit of light at which a comb is looked for: where noise of any kind leaves little. Fewer levels
 show at multiples of their number."""
 _TABLE = 256
+_FEW = 4
 _BRIGHT = 110.0  # luma above which shot noise leaves nothing of a comb
 
 
@@ -61,22 +63,43 @@ def unknown_codes(shape: tuple[int, int]) -> Codes:
 
 
 def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dict[tuple[str, ...], jax.Array]:
-    """The characteristic function of differences of next neighbours of one colour, in one picture (h, w, 3):
-    values by their names.
+    """The characteristic function of differences of next neighbours of one colour: values by their names.
 
     Args:
-        y: the picture, s the noise-free one, in Y'CbCr steps.
+        y: (3, h, w) the picture, s the noise-free one, in Y'CbCr steps.
         weight: (h, w) of flat places.
     """
-    rgb = jnp.stack(ycbcr_to_rgb_planes(*jnp.moveaxis(y / 255, -1, 0)), -1)
+    rgb = jnp.stack(ycbcr_to_rgb_planes(*y / 255))
     at = jnp.clip(rgb, 0, 1) * (_TABLE - 1)
     low = jnp.clip(at.astype(jnp.int32), 0, _TABLE - 2)
-    light = seen.light[low] + (at - low) * (seen.light[low + 1] - seen.light[low])
-    read = ((light @ seen.inverse.T) * seen.sites).sum(-1)
-    dark = jax.nn.sigmoid((_BRIGHT - s[..., 0]) / 8)
-    values = _spectrum(read, jnp.stack([weight * dark, weight * (1 - dark)]))
+    light = seen.light[low] + (at - low) * jnp.diff(seen.light)[low]
+    of_site = jnp.einsum("hwi,ic->chw", seen.sites, seen.inverse, precision="highest")
+    dark = weight * jax.nn.sigmoid((_BRIGHT - s[0]) / 8)
+    values = _spectrum(materialize((of_site * light).sum(0)), materialize(jnp.stack([dark, weight - dark])))
     names = (f"code intensity {name}{k:02d}" for k in range(len(FREQUENCIES)) for name in ("dark", "light"))
     return {tuple(names): values.ravel()}
+
+
+def sums(values: jax.Array, weights: jax.Array) -> jax.Array:
+    """(S, V) sums of values (V, ..., w) under each of the weights (S, ..., w).
+
+    As products of matrices: the compiler's own sum takes one number at a time. Under few weights row by row,
+    since it is inexact where a product has one row only.
+    """
+    if len(weights) > _FEW:
+        flat = (a.reshape(len(a), -1) for a in (weights, materialize(values)))
+        return jnp.einsum("sp,vp->sv", *flat, precision="highest")
+    if len(weights) > 1:
+        values = materialize(values)
+    one = jnp.ones(values.shape[-1], values.dtype)
+    rows = [jnp.matmul((values * own).reshape(-1, len(one)), one, precision="highest") for own in weights]
+    return jnp.stack([row.reshape(len(values), -1).sum(1) for row in rows])
+
+
+def averages(values: jax.Array, weights: jax.Array) -> jax.Array:
+    """(S, V) likewise, over the sum of the weights."""
+    one = jnp.ones((1, *weights.shape[1:]), weights.dtype)
+    return sums(values, weights) / (sums(one, weights) + 1e-3)
 
 
 def cosine(turns: jax.Array) -> jax.Array:
@@ -93,12 +116,6 @@ def cosine(turns: jax.Array) -> jax.Array:
 
 def _spectrum(read: jax.Array, weights: jax.Array) -> jax.Array:
     """(K, S) of what the sensor read, by each of the weights (S, h, w)."""
-    steps = [jnp.roll(read, -2, axis) - read for axis in (0, 1)]
-    both = [weights * jnp.roll(weights, -2, 1 + axis) for axis in (0, 1)]
-    count = sum(b.sum((1, 2)) for b in both) + 1e-3
-
-    def one(frequency: Any) -> jax.Array:
-        waves = [cosine(frequency * step) for step in steps]
-        return sum(((b * wave).sum((1, 2)) for b, wave in zip(both, waves)), jnp.zeros(len(weights))) / count
-
-    return jnp.asarray(jax.lax.map(one, jnp.asarray(FREQUENCIES)))
+    steps = jnp.stack([jnp.roll(read, -2, axis) - read for axis in (0, 1)])
+    both = jnp.stack([weights * jnp.roll(weights, -2, 1 + axis) for axis in (0, 1)], 1)
+    return jax.lax.map(lambda f: averages(cosine(f * steps)[None], both)[:, 0], jnp.asarray(FREQUENCIES))

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.color import ycbcr_to_rgb_planes
-from jaxisp.gap.noisy_codes import Codes, comb_part, cosine
-from jaxisp.gap.noisy_mean import CHANNELS, Found, blurred, named, tents
+from jaxisp.gap.noisy_codes import Codes, averages, comb_part, cosine, sums
+from jaxisp.gap.noisy_mean import CHANNELS, Found, blurred_planes, named, tents
 from jaxisp.numerics import materialize
 from jaxisp.windows import gaussian_blur
 
@@ -28,47 +28,35 @@ def _log(numerator: Any, denominator: Any = 1.0, least: float = 0.02) -> jax.Arr
     return jnp.log((numerator + least) / (denominator + least))
 
 
-def _mean(values: jax.Array, weight: jax.Array) -> jax.Array:
-    """(...) of planes (..., h, w)."""
-    return (values * weight).sum((-2, -1)) / (weight.sum((-2, -1)) + 1e-3)
-
-
-def _products(weights: jax.Array, values: jax.Array) -> jax.Array:
-    """(K, V) sums of planes (V, h, w) under each of the weights (K, h, w)."""
-    return jnp.einsum("khw,vhw->kv", weights, values, precision="highest")
-
-
-def _planes(stack: jax.Array) -> jax.Array:
-    """(C, h, w) of (h, w, C), stored: what reads them would else step over the other channels."""
-    return materialize(jnp.moveaxis(stack, -1, 0))
-
-
 def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
-    """(h, w) near 1 where neither luma nor chroma of a noise-free picture has edges, near 0 at edges."""
-    smooth = blurred(s, 1.0)
-    steps = [jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (0, 1)]
-    activity = gaussian_blur(jnp.sqrt((steps[0] ** 2 + steps[1] ** 2).sum(-1)), 2.0, 6)
+    """(h, w) near 1 where neither luma nor chroma of a noise-free picture (3, h, w) has edges, near 0 at
+    edges."""
+    smooth = blurred_planes(s, 1.0)
+    down, right = (jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (1, 2))
+    activity = gaussian_blur(jnp.sqrt((down**2 + right**2).sum(0)), 2.0, 6)
     return mask / (1 + (activity / 2.0) ** 2) ** 2
 
 
 def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Codes) -> Found:
-    """Spread, spectrum, correlation, lines, tails and grids of one residual's noise."""
+    """Spread, spectrum, correlation, lines, tails and grids of one residual's noise, r; it, the picture y and
+    the noise-free one s are (h, w, 3)."""
+    r, y, s = (materialize(jnp.moveaxis(a, -1, 0)) for a in (r, y, s))  # else all that reads one would step
     flat = materialize(flatness(s, mask))
-    whole = r - blurred(r, 2.5)
+    whole = materialize(r - blurred_planes(r, 2.5))
     r = materialize(r - whole + _without_outliers(whole, flat))
-    smooth = [r, *(blurred(r, sigma) for sigma in (1.0, 2.5, 6.0))]
-    bands = [_planes(fine - coarse) for fine, coarse in itertools.pairwise(smooth)]
-    high, light, picture = _planes(r - smooth[2]), s[..., 0], _planes(y)
+    smooth = [r, *(materialize(blurred_planes(r, sigma)) for sigma in (1.0, 2.5, 6.0))]
+    bands = [fine - coarse for fine, coarse in itertools.pairwise(smooth)]
+    high, light = materialize(r - smooth[2]), s[0]
     found = _spread(high, bands, light, mask, flat) | _correlations(high, flat, light) | _lines(r, flat)
-    found |= _tails(whole[..., 0], light, flat) | _grids(picture, flat) | _levels(picture, flat)
+    found |= _tails(whole[0], light, flat) | _grids(y, flat) | _levels(y, flat)
     return found | comb_part(y, s, flat, seen)
 
 
 def _without_outliers(high: jax.Array, flat: jax.Array) -> jax.Array:
-    """Noise (h, w, C) cut off where it is far beyond what it is around: a few hot pixels, which may lie
+    """Noise (C, h, w) cut off where it is far beyond what it is around: a few hot pixels, which may lie
     anywhere, would decide on all that is measured; tails are looked at apart."""
     weight = flat + 0.02  # of edges, where nothing is flat around
-    size = blurred(jnp.abs(high) * weight[..., None], 4.0) / gaussian_blur(weight, 4.0, 12)[..., None]
+    size = blurred_planes(jnp.abs(high) * weight, 4.0) / gaussian_blur(weight, 4.0, 12)
     most = _OUTLIER * jnp.sqrt(jnp.pi / 2) * (size + 0.1)
     return jnp.clip(high, -most, most)
 
@@ -79,7 +67,7 @@ def _levels(picture: jax.Array, flat: jax.Array) -> Found:
     green = ycbcr_to_rgb_planes(*picture / 255)[1]
     step, weight = green[:, 1:] - green[:, :-1], flat[:, 1:] * flat[:, :-1]
     waves = cosine(jnp.asarray(LEVELS, step.dtype)[:, None, None] * step)
-    return {named("levels intensity {:02d}", LEVELS): _mean(waves, weight)}
+    return {named("levels intensity {:02d}", LEVELS): averages(waves, weight[None])[0]}
 
 
 def _spread(
@@ -96,9 +84,7 @@ def _spread(
         flat * outer,
         flat * (1 - outer),
     ]
-    squares = jnp.concatenate([high, *bands]) ** 2
-    stacked = jnp.stack([*weights, flat])
-    means = _products(stacked, squares) / (stacked.sum((1, 2)) + 1e-3)[:, None]
+    means = averages(jnp.concatenate([high, *bands]) ** 2, jnp.stack([*weights, flat]))
     whole, fine, by_place = means[-1, :3], means[-1, 3:].reshape(-1, 3), means[:, :3]
     k = len(tented)
     return {
@@ -124,10 +110,10 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
     far = [high[:1] * jnp.roll(high[:1], lag, (1, 2)) for lag in _LAGS[3:]]
     between = [high[a : a + 1] * high[b : b + 1] for a, b in pairs]
     values = jnp.concatenate([high**2, *near, *far, *between])
-    sums = _products(jnp.stack([flat * dark, flat * (1 - dark)]), values)
-    power = sums[:, :3] + 1.0
-    neighbours = sums[:, 3:12].reshape(2, 3, 3) / power[:, None]
-    luma = jnp.concatenate([neighbours[..., 0], sums[:, 12:15] / power[:, :1]], 1)
+    found = sums(values, jnp.stack([flat * dark, flat * (1 - dark)]))
+    power = found[:, :3] + 1.0
+    neighbours = found[:, 3:12].reshape(2, 3, 3) / power[:, None]
+    luma = jnp.concatenate([neighbours[..., 0], found[:, 12:15] / power[:, :1]], 1)
     across = jnp.stack([jnp.sqrt(power[:, a] * power[:, b]) for a, b in pairs], 1)
     one, other = (luma[:, _LAGS.index(lag)] for lag in ((1, 1), (1, -1)))
     return {
@@ -136,7 +122,7 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
         # rows and columns have axes of their own
         named("corr orientation diagonals {}", parts): one - other,
         named("corr channel {1} {0}", parts, [CHANNELS[a] + CHANNELS[b] for a, b in pairs]): (
-            sums[:, 15:] / across
+            found[:, 15:] / across
         ).ravel(),
     }
 
@@ -145,16 +131,17 @@ def _lines(r: jax.Array, flat: jax.Array) -> Found:
     """How the mean of a row over every second stripe follows that over the stripes between, which white
     noise does not make it do; alike for columns. "slow" is what varies over tens of lines."""
     found: Found = {}
-    power = blurred(r**2 * flat[..., None], 4.0) / (gaussian_blur(flat, 4.0, 12) + 1e-3)[..., None]
-    even = r / jnp.sqrt(power + 0.1 * power.mean((0, 1)) + 1e-3)  # quiet parts tell as much as loud ones
-    weighed = even * flat[..., None]
-    for axis, of, sums in ((1, "row", "hwc,wk->khc"), (0, "column", "hwc,hk->kwc")):
-        at = np.arange(r.shape[axis])
+    power = blurred_planes(r**2 * flat, 4.0) / (gaussian_blur(flat, 4.0, 12) + 1e-3)
+    usual = averages(power, jnp.ones((1, *flat.shape), flat.dtype))[0, :, None, None]
+    even = r / jnp.sqrt(power + 0.1 * usual + 1e-3)  # quiet parts tell as much as loud ones
+    weighed = materialize(even * flat)
+    for axis, of, along in ((1, "row", "hw,wk->hk"), (0, "column", "hw,hk->wk")):
+        at = np.arange(flat.shape[axis])
         sides = np.stack([at // _STRIPE % 2 == side for side in (0, 1)], 1)
         apart = sides & (at % _STRIPE < _STRIPE - _GUARD)[:, None]
         stripes = jnp.asarray(np.concatenate([sides, apart], 1), r.dtype)
-        counts = jnp.einsum(sums, flat[..., None], stripes, precision="highest")
-        means = jnp.einsum(sums, weighed, stripes, precision="highest") / (counts + 1.0)
+        counts, *parts = (jnp.einsum(along, a, stripes, precision="highest") for a in (flat, *weighed))
+        means = jnp.stack([part / (counts + 1.0) for part in parts], -1).swapaxes(0, 1)
         fine = means[:2, 1:-1] - 0.5 * (means[:2, :-2] + means[:2, 2:])
         n = means.shape[1] - 4
         slow = sum((means[2:, k : k + n] for k in range(5)), jnp.zeros(())) / 5
@@ -171,14 +158,18 @@ def _agreement(a: jax.Array, b: jax.Array) -> jax.Array:
 def _tails(luma: jax.Array, light: jax.Array, flat: jax.Array) -> Found:
     parts = ("dark", "bright")
     local = gaussian_blur(luma**2 * flat, 4.0, 12) / (gaussian_blur(flat, 4.0, 12) + 1e-3)
-    weight = flat * jnp.stack([light < 80, light >= 80])
-    variance = _mean(luma**2, weight)[:, None, None] + 0.02
-    z = luma / jnp.sqrt(0.8 * local + 0.2 * variance + 0.02)
-    shares = jnp.stack([_mean(jax.nn.sigmoid(4 * (sign * z - 4.0)), weight) for sign in (1, -1)])
+    weights = flat * jnp.stack([light < 80, light >= 80])
+    variances = averages(luma[None] ** 2, weights) + 0.02
+    found = []
+    for weight, variance in zip(weights, variances):
+        z = luma / jnp.sqrt(0.8 * local + 0.2 * variance + 0.02)
+        beyond = [jax.nn.sigmoid(4 * (sign * z - 4.0)) for sign in (1, -1)]
+        found.append(averages(jnp.stack([z**4, jnp.clip(z, -6, 6) ** 3, *beyond]), weight[None])[0])
+    fourth, third, *shares = jnp.stack(found, 1)
     return {
-        named("tail tail kurtosis {}", parts): _log(_mean(z**4, weight), 3.0, 0.1),
-        named("tail tail skew {}", parts): 0.5 * _mean(jnp.clip(z, -6, 6) ** 3, weight),
-        named("tail tail {} {}", ("high", "low"), parts): 0.5 * jnp.log1p(1e4 * shares).ravel(),
+        named("tail tail kurtosis {}", parts): _log(fourth, 3.0, 0.1),
+        named("tail tail skew {}", parts): 0.5 * third,
+        named("tail tail {} {}", ("high", "low"), parts): 0.5 * jnp.log1p(1e4 * jnp.concatenate(shares)),
     }
 
 
@@ -192,14 +183,14 @@ def _grids(picture: jax.Array, flat: jax.Array) -> Found:
         by_phase = jnp.matmul(jump, phase, precision="highest") / phase.sum(0)
         found[named("logvar block_phase {}{}", [of], range(8))] = _log(by_phase, by_phase.mean(), 0.01)
     h, w = (n // 8 * 8 for n in flat.shape)
-    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3))[..., None, None]  # edges are no noise
-    near = jnp.exp(-((_blocks(picture) / 1.5) ** 2))
-    near = (near * even).sum((1, 2)) / (even.sum() + 1e-3)
-    band = (_ORDER // 4).clip(max=2) == np.arange(3)[:, None, None]
-    share = jnp.einsum("cij,kij->ck", near, band / band.sum((1, 2), keepdims=True), precision="highest")
+    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges are no noise
+    near = materialize(jnp.exp(-((_blocks(picture[:, :h, :w]) / 1.5) ** 2)))
+    near = jnp.einsum("b,cbk->ck", even, near, precision="highest") / (even.sum() + 1e-3)
+    band = (_ORDER // 4).clip(max=2).ravel() == np.arange(3)[:, None]
+    share = jnp.einsum("ck,bk->cb", near, band / band.sum(1, keepdims=True), precision="highest")
     found[named("comb block_phase {}{}", CHANNELS, range(3))] = share.ravel()
     still = jnp.exp(-(((picture - jnp.roll(picture, 1, 2)) / 0.7) ** 2))
-    found[named("comb intensity {}", CHANNELS)] = _mean(still, flat)
+    found[named("comb intensity {}", CHANNELS)] = averages(still, flat[None])[0]
     return found
 
 
@@ -209,8 +200,8 @@ _WAVES = _WAVES / np.linalg.norm(_WAVES, axis=1, keepdims=True)
 
 
 def _blocks(picture: jax.Array) -> jax.Array:
-    """(C, down, across, 8, 8) cosine transform of the 8x8 blocks of planes (C, h, w)."""
-    h, w = (n // 8 * 8 for n in picture.shape[1:])
-    blocks = picture[:, :h, :w].reshape(-1, h // 8, 8, w // 8, 8).swapaxes(2, 3)
-    waves = jnp.asarray(_WAVES, picture.dtype)
-    return waves @ blocks @ waves.T
+    """(C, blocks, 64) cosine transform of the 8x8 blocks of planes (C, h, w)."""
+    c, h, w = picture.shape
+    blocks = materialize(picture.reshape(c, h // 8, 8, w // 8, 8).swapaxes(2, 3).reshape(c, -1, 64))
+    waves = jnp.asarray(np.kron(_WAVES, _WAVES), picture.dtype)
+    return jnp.matmul(blocks, waves.T, precision="highest")

@@ -44,7 +44,7 @@ def test_a_comb_is_found_at_its_step_and_not_without(cfa):
     step = 1 / FREQUENCIES[k]
     values = {}
     for name, light in (("plain", read), ("comb", step * np.rint(read / step))):
-        y = jnp.asarray(picture(light), jnp.float32)
+        y = jnp.moveaxis(jnp.asarray(picture(light), jnp.float32), -1, 0)
         ((names, found),) = comb_part(y, jnp.full_like(y, 60.0), jnp.ones(SHAPE), seen).items()
         values[name] = dict(zip(names, np.asarray(found).tolist(), strict=True))
     assert values["comb"][f"code intensity dark{k:02d}"] > 0.95
