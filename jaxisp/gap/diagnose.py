@@ -122,6 +122,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
         "pairs": {
             "fit": [names[i] for i in case.split.fit],
             "held_out": [names[i] for i in held],
+            "pixels": int(problem.pairs.mask[problem.inner].sum()),
         },
         "gap": {
             "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,

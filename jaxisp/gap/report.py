@@ -26,6 +26,7 @@ _WHEN = ("before", "after")
 _CLEAR = 0.05  # axes whose p-value is above are only listed
 _CONSIDERABLE = 0.15  # of the gap: what is left is said with the verdict
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
+_FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
 _SITES = {
     "scene": "the scene's light",
     "mosaic": "the mosaic as recorded",
@@ -149,12 +150,20 @@ def unexplained(report: Mapping[str, Any]) -> str:
 
 
 def few_pairs(report: Mapping[str, Any]) -> str:
-    """A warning where there are fewer pairs than a diagnosis needs, else ""."""
+    """A warning where there are fewer pairs than a diagnosis needs, or fewer pixels, else ""."""
     names = [*report["pairs"]["fit"], *report["pairs"]["held_out"]]
     count = len({re.sub(r" \((even|odd) tiles\)$", "", name) for name in names})
-    if count >= _FEWEST:
-        return ""
-    return f"only {counted(count, 'pair')}: intervals and the choice are not reliable; give at least four."
+    if count < _FEWEST:
+        return (
+            f"only {counted(count, 'pair')}: intervals and the choice are not reliable; give at least four."
+        )
+    statistics = report["kind"] == "clean+noisy" and report["verdict"] == "unknown"
+    if statistics and report["pairs"]["pixels"] < _FEW_PIXELS:
+        return (
+            f"only {report['pairs']['pixels'] / 1e6:.2f} million pixels in all: noise tells little there; "
+            "give eight pairs of 256x256 or more."
+        )
+    return ""
 
 
 def _summary(report: Mapping[str, Any]) -> str:

@@ -210,6 +210,21 @@ def test_what_was_refused_as_the_cause_is_said():
     assert "Nearest: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
 
 
+@pytest.mark.parametrize(
+    ("kind", "verdict", "pixels", "told"),
+    [
+        ("clean+noisy", "unknown", 75_264, True),
+        ("clean+noisy", "unknown", 460_800, False),
+        ("clean+noisy", "effect", 75_264, False),
+        ("raw+jpeg", "unknown", 75_264, False),
+    ],
+)
+def test_noise_of_few_pixels_tells_little(kind, verdict, pixels, told):
+    pairs = {"fit": ["a", "b"], "held_out": ["c", "d"], "pixels": pixels}
+    warning = few_pairs(changed(kind=kind, verdict=verdict, pairs=pairs))
+    assert warning.startswith("only 0.08 million pixels in all: ") if told else warning == ""
+
+
 def test_fewer_than_four_pairs():
     fewer = ["a", "b"], ["c"]
     assert few_pairs(changed(pairs=dict(zip(("fit", "held_out"), fewer)))).startswith("only 3 pairs: ")
