@@ -21,9 +21,14 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from jaxisp.gap import threads
+
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of small objects that stay: a sixth of the time
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    threads.MOST = 1  # the workers use the cores
 
 _MOST_MEMORY = 3e9  # bytes
 quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})

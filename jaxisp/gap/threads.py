@@ -10,14 +10,19 @@ from typing import TypeVar
 
 _One = TypeVar("_One")
 _Found = TypeVar("_Found")
-_MOST = 4
-"""Each holds pictures of its own."""
+MOST = 4
+"""Threads: each holds pictures of its own."""
 
 
 def each(look: Callable[[_One], _Found], points: Iterable[_One]) -> list[_Found]:
-    """As `[look(p) for p in points]`, on as many threads as the process may use cores."""
+    """As `[look(p) for p in points]`, on as many threads as the process may use cores.
+
+    The first is looked at alone: two threads that came to a new program at once would both compile it.
+    """
+    points = list(points)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores == 1:
+    count = min(cores, MOST, len(points) - 1)
+    if count < 2:
         return [look(point) for point in points]
-    with ThreadPoolExecutor(min(cores, _MOST)) as pool:
-        return list(pool.map(look, points))
+    with ThreadPoolExecutor(count) as pool:
+        return [look(points[0]), *pool.map(look, points[1:])]

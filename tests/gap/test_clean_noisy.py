@@ -91,6 +91,7 @@ def test_the_effect_that_is_missing_is_named(diagnosed):
     assert report["causes"][0]["closed"] > 0.5
 
 
+@pytest.mark.slow
 def test_row_noise_is_seen_on_its_axis(diagnosed):
     report = diagnosed("row_noise")
     assert report["verdict"] != "none"
@@ -175,6 +176,7 @@ def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
     np.testing.assert_allclose(camera.gains, (2.2, 1.4), atol=0.3)
 
 
+@pytest.mark.slow
 def test_demosaicking_of_square_roots_is_found(tmp_path):
     """On linear values nothing has its errors at edges, and gains that balance late would make up for it."""
     write(tmp_path, "maple", {"nothing": 1}, "clean+noisy", size=SIZE, count=COUNT)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp.gap import threads
 from jaxisp.gap.clean_noisy import StatisticsProblem
 from jaxisp.gap.measured import Split
 from jaxisp.gap.noisy_base import Camera
@@ -69,6 +70,18 @@ def test_a_warp_the_wrong_way_is_farther_than_none(problem):
         problem.distances(distorted(problem.model, problem.z, v)).mean() for v in (SHIFT, 0, -SHIFT)
     )
     assert right < 0.7 * none and wrong > none
+
+
+def test_threads_find_the_same_columns(problem, monkeypatch):
+    found = []
+    for most in (1, 4):
+        monkeypatch.setattr(threads, "MOST", most)
+        problem.move_to(problem.z)
+        problem.compute(problem.model.base_indices[:6])
+        found.append(problem.columns)
+    assert found[0].keys() == found[1].keys()
+    for i, column in found[0].items():
+        np.testing.assert_array_equal(found[1][i], column)
 
 
 def test_what_may_smooth_noise_is_tried_with_more_of_it(problem):

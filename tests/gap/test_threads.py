@@ -1,0 +1,29 @@
+"""Looking at points side by side."""
+
+import os
+import threading
+
+import pytest
+
+from jaxisp.gap import threads
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 9])
+@pytest.mark.parametrize("most", [1, 4])
+def test_what_is_found_is_in_order(count, most, monkeypatch):
+    monkeypatch.setattr(threads, "MOST", most)
+    assert threads.each(lambda n: n * n, iter(range(count))) == [n * n for n in range(count)]
+
+
+def test_an_error_comes_through(monkeypatch):
+    monkeypatch.setattr(threads, "MOST", 4)
+    with pytest.raises(ZeroDivisionError):
+        threads.each(lambda n: 1 / n, [3, 2, 1, 0])
+
+
+def test_points_are_looked_at_at_once(monkeypatch):
+    if len(os.sched_getaffinity(0)) < 2:
+        pytest.skip("one core")
+    monkeypatch.setattr(threads, "MOST", 2)
+    met = threading.Barrier(2, timeout=30)
+    threads.each(lambda n: n == 0 or met.wait(), range(3))
