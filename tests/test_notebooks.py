@@ -25,6 +25,7 @@ widgets = pytest.mark.skipif("ipywidgets" in MISSING, reason="ipywidgets is not 
 
 
 @jupyter
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_it_runs(name):
     whole = os.environ.get("JAXISP_NOTEBOOKS") == "all"

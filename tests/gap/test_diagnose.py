@@ -63,7 +63,7 @@ def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
     "effect",
     [
         "vignetting",
-        "chroma_denoising",
+        pytest.param("chroma_denoising", marks=pytest.mark.slow),
         "color_lut",
         "local_tone_mapping",
         "optical_blur",
