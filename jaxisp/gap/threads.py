@@ -20,9 +20,13 @@ def each(look: Callable[[_One], _Found], points: Iterable[_One]) -> list[_Found]
     The first is looked at alone: two threads that came to a new program at once would both compile it.
     """
     points = list(points)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(cores, MOST, len(points) - 1)
+    count = min(_cores(), MOST, len(points) - 1)
     if count < 2:
         return [look(point) for point in points]
     with ThreadPoolExecutor(count) as pool:
         return [look(points[0]), *pool.map(look, points[1:])]
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
