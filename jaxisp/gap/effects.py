@@ -158,9 +158,10 @@ _add(
     "radius channel", "vignetting white_balance",
 )  # fmt: skip
 _add(
-    "lateral_chromatic_aberration", stage("lateral_chromatic_aberration", most=0.03), "scene",
-    [Move(f"{color}_scale", 0.002, -0.03, 0.03, off=1, both_sides=True, far=(-0.02, -0.008, 0.008, 0.02))
-     for color in ("red", "blue")],
+    "lateral_chromatic_aberration", stage("color_magnification"), "scene",
+    [*(Move(f"{color}_scale", 0.002, -0.03, 0.03, off=1, both_sides=True, far=(-0.02, -0.008, 0.008, 0.02))
+       for color in ("red", "blue")),
+     Move("sharpness", 0.5, -1, 1, off=1)],
     "radius channel edge", "demosaicking geometric_distortion",
 )  # fmt: skip
 _add(
@@ -174,8 +175,9 @@ _add(
     "orientation frequency edge", "optical_blur", shows_in=(CLEAN_NOISY,),
 )  # fmt: skip
 _add(
-    "geometric_distortion", stage("geometric_distortion"), "scene",
-    [Move("k1", 0.004, -0.1, 0.1, both_sides=True, far=(-0.055, -0.02, 0.02, 0.055))],
+    "geometric_distortion", stage("radial_warp"), "scene",
+    [Move("k1", 0.004, -0.1, 0.1, both_sides=True, far=(-0.055, -0.02, 0.02, 0.055)),
+     Move("sharpness", 0.5, -1, 1, off=1)],
     "radius edge", "lateral_chromatic_aberration",
 )  # fmt: skip
 _add(

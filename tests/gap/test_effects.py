@@ -71,6 +71,8 @@ def test_nothing_is_changed_while_all_are_off(model):
 
 
 _WAYS = {
+    "geometric_distortion": ("sharpness",),
+    "lateral_chromatic_aberration": ("sharpness",),
     "resampling": ("shares",),
     "chroma_subsampling": ("sampled", "repeated"),
     "local_tone_mapping": ("sigma", "edges"),

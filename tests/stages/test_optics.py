@@ -27,6 +27,8 @@ def apply(params, image, **static) -> np.ndarray:
         optics.AffineExposure: "affine_exposure",
         optics.LateralChromaticAberration: "lateral_chromatic_aberration",
         optics.GeometricDistortion: "geometric_distortion",
+        optics.RadialWarp: "radial_warp",
+        optics.ColorMagnification: "color_magnification",
         optics.Vignetting: "vignetting",
         optics.ColorShading: "color_shading",
         optics.VeilingGlare: "veiling_glare",
@@ -186,7 +188,9 @@ def test_no_distortion_is_the_identity():
 
 
 @pytest.mark.parametrize("shape", [(23, 31, 3), (23, 401, 3), (1, 9, 3), (9, 1, 3)])
-@pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
+@pytest.mark.parametrize(
+    "name", ["geometric_distortion", "lateral_chromatic_aberration", "radial_warp", "color_magnification"]
+)
 def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shape, monkeypatch, x64):
     """Forward and reverse mode are written separately; these few pixels are large enough for strips here."""
     monkeypatch.setattr(displacement, "_STRIP", 5 * shape[1])
@@ -199,6 +203,57 @@ def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shap
     by_params, by_image = jax.vjp(lambda p, x: node(p, x), params, image)[1](jnp.asarray(weights))
     backward = sum(0.5 * v for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
     np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
+
+
+def weights(places, count, sharpness):
+    """(..., count) what each pixel counts at these places: the tent, and Keys' (1981) eq. 15 in its stead."""
+    t = np.abs(places[..., None] - np.arange(count))
+    tent = np.maximum(1 - t, 0)
+    far = -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
+    return (1 - sharpness) * tent + sharpness * np.where(
+        t < 1, 1.5 * t**3 - 2.5 * t**2 + 1, np.where(t < 2, far, 0)
+    )
+
+
+@pytest.mark.parametrize("sharpness", [0.4, 1.0, 2.0])
+def test_radial_warp_reads_by_cubic_convolution(sharpness, x64):
+    image = picture(dtype=float)
+    out = apply(optics.RadialWarp(k1=-0.11, sharpness=sharpness), image)
+    places = [c + d * (1 - 0.11 * squared_radius()) for c, d in zip(CENTRE, offsets())]
+    down, across = (weights(p, n, sharpness) for p, n in zip(places, (H, W)))
+    want = np.einsum("hwa,hwb,abc->hwc", down, across, image)
+    np.testing.assert_allclose(out[3:-3, 3:-3], want[3:-3, 3:-3], atol=1e-12)
+
+
+@pytest.mark.parametrize(("red", "blue"), [(0.975, 1.0), (1.01, 0.99)])
+def test_color_magnification_reads_by_cubic_convolution(red, blue, x64):
+    """`jax.image` has the same kernel; at borders it weighs what is there."""
+    image = picture(dtype=float)
+    out = apply(optics.ColorMagnification(red_scale=red, blue_scale=blue), image)
+    for channel, scale in enumerate((red, 1.0, blue)):
+        shift = (1 - scale) * (np.array(CENTRE) + 0.5)
+        plain = jnp.asarray(image[..., channel])
+        want = jax.image.scale_and_translate(
+            plain, (H, W), (0, 1), jnp.full(2, scale), jnp.asarray(shift), "cubic", antialias=False
+        )
+        np.testing.assert_allclose(out[3:-3, 3:-3, channel], want[3:-3, 3:-3], atol=1e-9)
+
+
+@pytest.mark.parametrize("params", [optics.RadialWarp(), optics.ColorMagnification()])
+def test_a_warp_that_moves_nothing_is_the_identity(params):
+    image = 4 * picture() - 1
+    np.testing.assert_array_equal(apply(params, image), image)
+
+
+def test_without_sharpness_warps_are_those_of_a_lens():
+    image = picture()
+    warp, lens = optics.RadialWarp(k1=0.1, sharpness=0.0), optics.GeometricDistortion(k1=0.1)
+    np.testing.assert_allclose(apply(warp, image), apply(lens, image), atol=1e-6)
+    scales = {"red_scale": 0.992, "blue_scale": 1.004}
+    warp = optics.ColorMagnification(**scales, sharpness=0.0)
+    np.testing.assert_allclose(
+        apply(warp, image), apply(optics.LateralChromaticAberration(**scales), image), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("k1", [-0.2, 0.2])
@@ -215,6 +270,8 @@ def test_geometry_of_tiny_images(shape):
     for params in (
         optics.GeometricDistortion(k1=0.2, k2=-0.07),
         optics.LateralChromaticAberration(red_scale=1.01, blue_scale=0.99),
+        optics.RadialWarp(k1=0.2, sharpness=0.0),
+        optics.ColorMagnification(red_scale=1.03, sharpness=0.0),
         optics.Vignetting(a2=-1.0),
     ):
         out = apply(params, image)

@@ -25,20 +25,25 @@ from jaxisp.stages.optics.light import (
     veiling_glare,
     vignetting,
 )
+from jaxisp.stages.optics.warps import ColorMagnification, RadialWarp, color_magnification, radial_warp
 
 __all__ = [
     "AffineExposure",
+    "ColorMagnification",
     "ColorShading",
     "Exposure",
     "GeometricDistortion",
     "LateralChromaticAberration",
+    "RadialWarp",
     "VeilingGlare",
     "Vignetting",
     "affine_exposure",
+    "color_magnification",
     "color_shading",
     "exposure",
     "geometric_distortion",
     "lateral_chromatic_aberration",
+    "radial_warp",
     "veiling_glare",
     "vignetting",
 ]

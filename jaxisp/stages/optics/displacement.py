@@ -65,11 +65,11 @@ def _magnified(plane: jax.Array, scale: jax.Array, most: float) -> jax.Array:
     largest = most / (1 - most) + 1e-4  # of |1/scale - 1|, and rounding
     reach_y, reach_x = (math.ceil(largest * (n - 1) / 2) for n in plane.shape)
     if max(reach_y, reach_x) > _MOST_SHIFTS:
-        return materialize(_picked(materialize(_picked(plane, dy[:, 0], 0)), dx[0], 1))
+        return materialize(picked(materialize(picked(plane, dy[:, 0], 0)), dx[0], 1))
     return _shifted(_shifted(plane, dy, 0, reach_y), dx, 1, reach_x)
 
 
-def _picked(plane: jax.Array, offset: jax.Array, axis: int) -> jax.Array:
+def picked(plane: jax.Array, offset: jax.Array, axis: int) -> jax.Array:
     """Linear interpolation at `offset` px from each row, or column; borders are replicated."""
     n = plane.shape[axis]
     place = jnp.clip(jnp.arange(n, dtype=offset.dtype) + offset, 0, n - 1)
@@ -148,10 +148,10 @@ def geometric_distortion(params: GeometricDistortion, image: LinearRGB) -> Linea
     y, x = from_centre(image.shape, image.dtype)
     r2 = radius_squared(image.shape, image.dtype)
     change = r2 * (jnp.asarray(params.k1, image.dtype) + jnp.asarray(params.k2, image.dtype) * r2)
-    return _displaced(image, change * y, change * x)
+    return displaced(image, change * y, change * x)
 
 
-def _displaced(image: jax.Array, dy: jax.Array, dx: jax.Array) -> jax.Array:
+def displaced(image: jax.Array, dy: jax.Array, dx: jax.Array) -> jax.Array:
     """Bilinear samples of (H, W, C) at each pixel's own place plus (dy, dx); borders are replicated."""
     h, w = image.shape[:2]
     y = jnp.clip(jnp.arange(h, dtype=dy.dtype)[:, None] + dy, 0, h - 1)
