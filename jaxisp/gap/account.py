@@ -5,16 +5,13 @@ or spoils the rest. So it is looked at where the gap lay before and where it lie
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxisp.gap.effects import AXES, CLEAN_NOISY, EFFECTS, RAW_JPEG
-from jaxisp.gap.measured import Gap, Measured
+from jaxisp.gap.measured import Gap, Measured, Rows
 from jaxisp.gap.refit import FARTHEST
-
-Rows = Sequence[dict[str, Any]]
-"""Axes, as `where` of report.json has them."""
 
 ACCOUNTED = {RAW_JPEG: ((0.5, 0.67),), CLEAN_NOISY: ((0.3, 0.85), (1.2, 0.95))}
 """Where causes leave more than the first of these above the floor, in floors, all together must close the
@@ -41,25 +38,28 @@ class Shown(NamedTuple):
 
     Attributes:
         error: the mean square that the axes' shares are of.
-        rows: the axes.
+        rows: the axes, as verdicts are decided by them.
         distance, noise: mean squares over pixels of what the real pictures are from the simulated ones on
             average, and of the simulator's noise; 0 where pixels are what is compared.
+        where: the axes as they are reported: what stands in one place is on that axis alone.
     """
 
     error: float
     rows: Rows
     distance: float = 0.0
     noise: float = 0.0
+    where: Rows = ()
 
 
 def shown(problem: Measured, held: Sequence[int]) -> Shown:
     """Where the problem stands."""
     held = list(held)
     error, rows = float(problem.errors(problem.z)[held].mean()), problem.located(held)
+    where = problem.credited(rows, held)
     distances, noise = problem.distances(problem.model.still(problem.z)), problem.scatter(problem.z)
     if distances is None or noise is None:
-        return Shown(error, rows)
-    return Shown(error, rows, float(distances[held].mean()), float(noise[held].mean()))
+        return Shown(error, rows, where=where)
+    return Shown(error, rows, float(distances[held].mean()), float(noise[held].mean()), where)
 
 
 def accounted(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap: Gap, left: float) -> bool:

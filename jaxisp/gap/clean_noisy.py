@@ -12,24 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.gap import noisy_tones as tones
-from jaxisp.gap.measured import Part, Split
+from jaxisp.gap.measured import Part, Rows, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.noisy_pairs import by_scene, scene_name
 from jaxisp.gap.noisy_start import noisier, placed, starts, told_by_noise
-from jaxisp.gap.noisy_units import (
-    axis_of,
-    by_place,
-    emphasis,
-    emphasised,
-    noise_only,
-    repeats,
-    units,
-    weights,
-)
+from jaxisp.gap.noisy_units import by_place, emphasis, emphasised, noise_only, repeats, units, weights
+from jaxisp.gap.noisy_where import credited, in_one_place, located
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
-from jaxisp.gap.statistics import feature_names, features, frames_of, mean_features
+from jaxisp.gap.statistics import features, frames_of, mean_features
 from jaxisp.gap.threads import each
 
 _REPLICATES = 4
@@ -314,37 +306,18 @@ class StatisticsProblem:
         off = self._tones - self._toned
         return tones.beside((gram, slope), error, columns[..., count:], off, self._before)
 
-    def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
+    def located(self, held: Sequence[int]) -> Rows:
         """The axes by their share of what the gap at the point has above what is harmless and chance."""
-        names = feature_names()
-        axes = np.array([axis_of(name) for name in names])
-        mean = self.difference[list(held)].mean(0)
-        excess = mean**2 - self._weights
-        above = {str(axis): max(float(excess[axes == axis].sum()), 0.0) for axis in axes}
-        mean = mean / np.sqrt(self._weights)
-        found = [
-            {
-                "axis": axis,
-                "share": own / (sum(above.values()) + 1e-9),
-                "p_value": _p_value(float((mean[axes == axis] ** 2).mean())),
-                "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
-                "profile": [float(v) for v in mean[axes == axis]],
-                "weights": [float(v) for v in self._weights[axes == axis]],
-                "unit": "what is harmless or chance",
-            }
-            for axis, own in above.items()
-        ]
-        return sorted(found, key=lambda f: -float(str(f["share"])))
+        return located(self.difference[list(held)].mean(0), self._weights)
 
-
-def _short(name: str) -> str:
-    """A statistic's name without its axis."""
-    kind, _, what = name.split(" ", 2)
-    return f"{kind} {what}"
-
-
-def _p_value(mean_square: float) -> float:
-    """Of a mean square of differences in units of what is harmless, taken for four independent ones."""
-    from scipy.stats import chi2
-
-    return float(chi2.sf(4 * mean_square, 4))
+    def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
+        """These, where what stands in one place in all pictures is looked at without what it does to other
+        statistics."""
+        simulated = self.picture(self.z)
+        place = in_one_place(self.target - simulated, [scene_name(name) for name in self.pairs.names])
+        if not place.any():
+            return rows
+        without = self.measured(np.where(place[..., None], simulated, self.target))
+        left = self._mean(self._scale * self._counted * (without - self._simulated))
+        index = list(held)
+        return credited(rows, self.difference[index].mean(0), left[index].mean(0), self._weights)

@@ -10,17 +10,16 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.gap import prepare
-from jaxisp.gap.account import Rows
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import in_one_frame
-from jaxisp.gap.measured import Case, Downstream, Gap, Split
+from jaxisp.gap.measured import Case, Downstream, Gap, Rows, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
+from jaxisp.gap.stepwise import Tick
 from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, gap_at, searched
-from jaxisp.gap.which import Tick
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
@@ -131,7 +130,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "ranking": ranking_rows(found.causes, found.trials, found.promises, case.absorbed, gap.scale),
-        "where": list(found.before.rows) if there else [],
+        "where": list(found.before.where) if there else [],
         "unexplained": _unexplained(found, after, gap),
         "seconds": 0.0,
     }  # fmt: skip
@@ -268,14 +267,14 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
 
 
 def _unexplained(found: Found, after: float, gap: Gap) -> dict[str, Any]:
-    share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.rows)
+    share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.where)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(axes)}" if axes else "")
     row = {"share": share, "axes": axes, "description": text}
     if found.refused is None:
         return row
     causes, shown = found.refused.causes, found.refused.after
     closed = float((gap.before - causes[-1][0].after) / gap.scale)
-    nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.rows)}
+    nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.where)}
     return row | {"nearest": nearest}
 
 

@@ -22,7 +22,7 @@ from jaxisp.gap.noisy_open import fit_open
 from jaxisp.gap.noisy_pairs import clean_pairs, split_of
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
-from jaxisp.gap.which import Tick
+from jaxisp.gap.stepwise import Tick
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Params, stage
 from jaxisp.recipe import Recipe
@@ -86,14 +86,8 @@ def clean_case(
         stated.add("chroma_subsampling")
     if simulator is None:
         case = plain_case(camera, mean, split, effects, seed, tick)
-        for _ in range(_PASSES if file is None else 0):  # a file's own grid would be elsewhere
-            by = noisy_phase.moves(case.problem.real, case.problem.simulated(case.problem.z), mean)
-            if not by.any():
-                break
-            tick(0, 3, "fitting the base again: pairs are cut at different places of the colour filter array")
-            pairs = noisy_phase.moved(pairs, by)
-            camera, mean = fit_mean(file, pairs, split.fit, cfa)
-            case = plain_case(camera, mean, split, effects, seed, tick)
+        if file is None:  # a file's own grid would be elsewhere
+            case, mean = _laid_alike(pairs, case, mean, cfa, effects, seed, tick)
     else:
         if is_camera:
             given, pairs = of_camera(simulator, effects, camera, mean, split.fit)
@@ -107,6 +101,28 @@ def clean_case(
         stated.add("double_compression")
     offered = [name for name in case.offered if name not in stated]
     return dataclasses.replace(case, offered=offered, reference=reference)
+
+
+def _laid_alike(
+    pairs: Pairs,
+    case: Case,
+    mean: Problem,
+    cfa: str | None,
+    effects: Sequence[Effect],
+    seed: int,
+    tick: Tick,
+) -> tuple[Case, Problem]:
+    """The plain base of pairs and the problem its mean was fitted with, or both anew with the pairs moved to
+    one place of the colour filter array: crops need not have been cut alike."""
+    for _ in range(_PASSES):
+        by = noisy_phase.moves(case.problem.real, case.problem.simulated(case.problem.z), mean)
+        if not by.any():
+            break
+        tick(0, 3, "fitting the base again: pairs are cut at different places of the colour filter array")
+        pairs = noisy_phase.moved(pairs, by)
+        camera, mean = fit_mean(None, pairs, case.split.fit, cfa)
+        case = plain_case(camera, mean, case.split, effects, seed, tick)
+    return case, mean
 
 
 def _strays(mean: Problem, split: Split) -> tuple[str, ...]:

@@ -72,7 +72,15 @@ def switched_on(problem: Measured) -> list[int]:
     return [i for i in range(first, len(problem.z)) if problem.z[i] != 0]
 
 
-def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: float, steps: int = 4) -> Trial:
+def refit(
+    problem: Measured,
+    effect: str,
+    split: Split,
+    whole: Whole,
+    least: float,
+    steps: int = 4,
+    begin: np.ndarray | None = None,
+) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
     The problem stays where it is.
@@ -80,11 +88,16 @@ def refit(problem: Measured, effect: str, split: Split, whole: Whole, least: flo
     Args:
         whole: the gap before any effect.
         least: the share that the lower end of its interval must be above, beside `SMALLEST`.
+        begin: where the fit starts, what is searched for being found there; None: it is looked for.
     """
     own = problem.model.indices([effect])
     moving = [*problem.model.base_indices, *switched_on(problem), *own]
     part, seen = problem.take(split.fit), range(len(split.fit))
-    _fit_with(part, moving, own, seen, steps)
+    if begin is None:
+        _fit_with(part, moving, own, seen, steps)
+    else:
+        part.move_to(begin)
+        fit(part, [i for i in moving if not part.model.coordinates[i].move.grid], seen, steps=steps)
     choice = _choose_again(part, seen)
     if choice is not None:
         fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
+from jaxisp.gap.measured import Rows
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.threads import each
 from jaxisp.gap.where import where
@@ -168,6 +169,10 @@ class Problem:
         held, scale = list(held), np.maximum(self.weight[..., :1], 1e-6)
         residual, weight = (self.residual / scale)[held], self.weight[held][..., 0] ** 2
         return where(residual, self.current[held], weight, rng=np.random.default_rng(0))
+
+    def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
+        """These: of a residual each axis has its own already."""
+        return rows
 
     def mean_squares(self, residual: np.ndarray) -> np.ndarray:
         flat = residual.reshape(len(residual), -1)

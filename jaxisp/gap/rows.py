@@ -77,13 +77,15 @@ def ranking_rows(
     absorbed: dict[str, float],
     scale: float,
 ) -> list[dict[str, Any]]:
-    """All candidates, best first: the share that each closes, and what screening had predicted, the whole at
-    most. What was refitted has its interval, and whether it is possible: it takes pixels no farther away."""
+    """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
+    line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
+    possible: it takes pixels no farther away."""
     accepted = {t.effect: t for t, _ in causes}
     alike = {name for _, names in causes for name in names}
     rows = []
     for name, promise in promises.items():
-        trial, promised = accepted.get(name, trials.get(name)), float(min(promise / scale, 1.0))
+        trial, promised = accepted.get(name, trials.get(name)), float(promise / scale)
+        promised = min(promised, 1.0) if trial is None else promised
         status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
         row = {"effect": name, "closed": promised, "status": status, "predicted": promised}
         if trial is not None:

@@ -12,7 +12,8 @@ from jaxisp.gap.grain import Cause, grain_trial, with_grain
 from jaxisp.gap.measured import Case, Gap, Measured
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import SMALLEST, Whole
-from jaxisp.gap.which import LEADING, Terms, Tick, search
+from jaxisp.gap.stepwise import Terms, Tick, search
+from jaxisp.gap.which import LEADING
 
 MOST_CAUSES = 3
 NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}

@@ -1,11 +1,13 @@
 """How far simulated pictures are from real ones on average, whatever noise either has."""
 
+import copy
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import threads
+from jaxisp.gap import clean_noisy, threads
 from jaxisp.gap.clean_noisy import StatisticsProblem
 from jaxisp.gap.measured import Split
 from jaxisp.gap.noisy_base import Camera
@@ -154,3 +156,20 @@ def test_units_grow_where_quarters_of_the_frame_differ():
     grown = np.array(["edge" in n and not n.startswith("mean") for n in names])
     assert (others[0, grown] > 2 * at_rest[0, grown]).all() and (others[0, edge] < 4.0).all()
     np.testing.assert_array_equal(others[0, ~grown], at_rest[0, ~grown])
+
+
+def test_a_stamp_is_a_matter_of_place_not_of_tails(problem, monkeypatch):
+    place = np.zeros(problem.target.shape[1:3], bool)
+    place[40:43, 20:50] = True
+    stamped = copy.copy(problem)
+    stamped.target = problem.target + 60 * place[..., None] * np.float32([1, -1, 1])
+    stamped.real = stamped.measured(stamped.target)
+    stamped.move_to(stamped.z)
+    monkeypatch.setattr(clean_noisy, "in_one_place", lambda residual, scenes: place)
+    rows = stamped.located([1])
+    share = {row["axis"]: row["share"] for row in rows}
+    found = {row["axis"]: row["share"] for row in stamped.credited(rows, [1])}
+    assert found["fixed_pattern"] > share["fixed_pattern"] + 0.1 and found["tail"] < 0.5 * share["tail"]
+    assert sum(found.values()) == pytest.approx(sum(share.values()))
+    monkeypatch.setattr(clean_noisy, "in_one_place", lambda residual, scenes: ~place & place)
+    assert stamped.credited(rows, [1]) is rows

@@ -1,14 +1,14 @@
 """What counts as not told apart from the effect that is named."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from jaxisp.gap import which
 from jaxisp.gap.measured import Split
-from jaxisp.gap.refit import Trial, Whole
-from jaxisp.gap.which import Terms, best, like_the_nearest, lookalikes, search
+from jaxisp.gap.refit import Trial
+from jaxisp.gap.which import best, foretold, like_the_nearest, lookalikes
 
 
 def trial(effect, closed, low, high):
@@ -93,63 +93,49 @@ def test_what_the_files_show_comes_first_where_it_is_accepted():
     assert best([near, trial("double_compression", 0.2, 0.15, 0.25)], ["double_compression"]) is near
 
 
-class Problem:
-    def __init__(self):
-        self.z = np.zeros(1)
+class Curved:
+    """Two pairs whose one statistic an effect moves by z + z^2 / 2, and a usual place and range for z."""
 
-    def move_to(self, z):
-        self.z = z
+    REAL, PROBE = np.array([1.5, 1.6]), 0.1
+    references: ClassVar = {}
 
+    class model:
+        base_indices: ClassVar = []
+        base: ClassVar = []
+        ranges = np.array([[0.0], [3.0]])
+        precisions, usual = np.zeros(1), np.zeros(1)
 
-def searched(monkeypatch, closes, terms, beside=("prnu",)):
-    """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
-    asked = []
+        @staticmethod
+        def indices(names):
+            return [0]
 
-    def refit(problem, name, split, whole, least):
-        asked.append(least)
-        share, half = closes[name]
-        before = 11.0 - float(problem.z[0])
-        return Trial(
-            name,
-            problem.z + 10 * share,
-            before,
-            before - 10 * share,
-            share,
-            share - half,
-            share + half,
-            least,
-        )
+    def __init__(self, bend=0.5):
+        self.z, self.bend = np.zeros(1), bend
 
-    monkeypatch.setattr(which, "screen", lambda problem, names, split: {n: closes[n][0] for n in names})
-    monkeypatch.setattr(which, "refit", refit)
-    whole = Whole(10.0, np.ones((1, 1)))
-    closes = closes | dict.fromkeys(beside, (0.0, 0.0))
-    causes, *_ = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
-    return [t.effect for t, _ in causes], asked
+    def moved(self, z):
+        return z + self.bend * z**2
+
+    def errors(self, z):
+        return (self.REAL - self.moved(z[0])) ** 2
+
+    def normal(self, which):
+        slope = self.moved(self.PROBE) / self.PROBE
+        return np.full((2, 1, 1), slope**2), slope * self.REAL[:, None]
 
 
-def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
-    closes = {"chroma_denoising": (0.8, 0.05), "vignetting": (0.15, 0.04)}
-    terms = Terms(0.05, 3, part=0.15)
-    assert searched(monkeypatch, closes, terms)[0] == list(closes)
-    names, asked = searched(monkeypatch, closes, terms._replace(part=0.6))  # 0.12 of the gap
-    assert names == ["chroma_denoising"] and asked[-1] == pytest.approx(0.12)
-    assert searched(monkeypatch, closes, terms._replace(enough=0.25))[0] == ["chroma_denoising"]
+def test_a_step_is_measured_where_it_ends_not_promised_by_a_line():
+    """The line goes to 1.43, where the curve is at 2.45: half of it, at 0.97, is nearest of what is tried."""
+    whole = float(Curved.REAL[1] ** 2)
+    step = Curved.REAL[0] / 1.05 / (1 + 1e-3)
+    curved = Curved()
+    expected = whole - float(curved.errors(np.array([step / 2]))[1])
+    assert foretold(curved, "prnu", Split((0,), (1,))) == pytest.approx(expected, rel=1e-3)
+    assert foretold(Curved(0.0), "prnu", Split((0,), (1,))) == pytest.approx(whole - 0.1**2, rel=1e-2)
 
 
-def test_nothing_to_try_finds_nothing(monkeypatch):
-    monkeypatch.setattr(which, "screen", lambda problem, names, split: {n: 1.0 for n in names})
-    whole = Whole(10.0, np.ones((1, 1)))
-    found = search(Problem(), [], Split((0,), (1,)), whole, Terms(0.05, 3), lambda *tick: None)
-    assert found == ([], {}, {})
-
-
-def test_all_that_is_tried_may_be_found(monkeypatch):
-    closes = {"chroma_denoising": (0.5, 0.05)}
-    assert searched(monkeypatch, closes, Terms(0.05, 3), beside=())[0] == ["chroma_denoising"]
-
-
-def test_beside_grain_less_can_lead(monkeypatch):
-    closes = {"green_imbalance": (0.12, 0.04)}
-    assert searched(monkeypatch, closes, Terms(0.05, 3))[0] == []
-    assert searched(monkeypatch, closes, Terms(0.05, 3, leading=0.1))[0] == ["green_imbalance"]
+def test_a_step_that_helps_nowhere_promises_nothing():
+    """Both ways along it statistics move away."""
+    curved = Curved(0.0)
+    curved.moved = lambda z: -abs(z)
+    curved.normal = lambda which: (np.ones((2, 1, 1)), Curved.REAL[:, None])
+    assert foretold(curved, "prnu", Split((0,), (1,))) == 0.0

@@ -1,0 +1,140 @@
+"""Which effects cause the gap, one after the other: refitted, accepted where they hold on other scenes.
+
+Works on anything that has the columns and errors of a `Problem`, residuals or statistics alike.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxisp.gap.measured import Measured, Split
+from jaxisp.gap.model import Model
+from jaxisp.gap.refit import Trial, Whole, refit
+from jaxisp.gap.which import LEADING, best, foretold, like_the_nearest, lookalikes, screen
+
+_REFITTED = 6  # of those that screening promises most of
+
+Tick = Callable[[int, int, str], Any]
+
+
+class Terms(NamedTuple):
+    """When an effect counts, and when it is enough.
+
+    Attributes:
+        least: the share of the gap that the lower end of its interval must be above.
+        most: how many are accepted at most.
+        leading: the share of the gap that the first must close.
+        part: the share of what is left that the lower end must be above.
+        enough: the share of the gap that no other effect is looked for to close.
+        apart: of `lookalikes`.
+        seen: effects that the files themselves show; they are refitted whatever they promise.
+    """
+
+    least: float
+    most: int
+    leading: float = LEADING
+    part: float = 0.0
+    enough: float = -np.inf
+    apart: float = np.inf
+    seen: Sequence[str] = ()
+
+
+def search(
+    problem: Measured, names: Sequence[str], split: Split, whole: Whole, terms: Terms, tick: Tick
+) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
+    """Forward steps: the best effect is added and fitted, and all others are tried again. Then one back: what
+    the others make up for was only taken for them.
+
+    Returns:
+        the accepted trials with their look-alikes, in order; the trials of the first step; what each effect
+        promised there.
+    """
+
+    def refitted(tried: Sequence[str], step: int, least: float) -> list[Trial]:
+        found = []
+        for name in tried:
+            tick(step, most, f"refitting {name}")
+            found.append(refit(problem, name, split, whole, least))
+        return found
+
+    most, seen, remaining = terms.most, terms.seen, 1.0
+    start = problem.model, problem.z
+    left = list(names)
+    causes: list[tuple[Trial, list[str]]] = []
+    first_trials: dict[str, Trial] = {}
+    first_promises: dict[str, float] = {} if most and names else screen(problem, left, split)
+    for step in range(min(most, len(names))):
+        tick(step, most, "screening effects")
+        promises = screen(problem, left, split)
+        ranked = sorted(left, key=lambda name: -promises[name])
+        tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
+        tried += [n for n in left if n in seen and n not in tried]
+        least = max(terms.least, terms.part * remaining)
+        trials = refitted(tried, step, least)
+        trials += refitted(like_the_nearest(trials, [n for n in left if n not in tried]), step, least)
+        if step == 0:
+            first_trials = {t.effect: t for t in trials}
+            first_promises = promises | {name: foretold(problem, name, split) for name in first_trials}
+        winner = best(trials, seen)
+        if winner is None or (not causes and winner.closed < terms.leading):
+            break
+        causes.append((winner, lookalikes(winner, trials, terms.apart)))
+        left.remove(winner.effect)
+        problem.move_to(winner.z)
+        if winner.choice is not None:
+            problem.choose(winner.choice)
+        remaining -= winner.closed
+        if remaining < terms.enough:
+            break
+    if len(causes) > 1:
+        tick(most - 1, most, "looking for effects that the others make up for")
+        needed = _needed(problem, start, [t for t, _ in causes], split, whole, terms.least)
+        if len(needed) < len(causes):
+            names_needed = [t.effect for t in needed]
+            others = [t for t in first_trials.values() if t.effect not in names_needed]
+            causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
+    return causes, first_trials, first_promises
+
+
+def _needed(
+    problem: Measured,
+    start: tuple[Model, np.ndarray],
+    trials: Sequence[Trial],
+    split: Split,
+    whole: Whole,
+    least: float,
+) -> Sequence[Trial]:
+    """These trials, or fewer that close as much but for what nulls have: those before the last are left out,
+    one after the other, the rest fitted from where all of them ended."""
+    end = trials[-1]
+    for left_out in trials[:-1]:
+        rest = [t.effect for t in trials if t is not left_out]
+        found = _replayed(problem, start, rest, end.z, split, whole, least)
+        if all(t.accepted for t in found) and found[-1].after - end.after < least * whole.size:
+            return _needed(problem, start, found, split, whole, least)
+    return trials
+
+
+def _replayed(
+    problem: Measured,
+    start: tuple[Model, np.ndarray],
+    names: Sequence[str],
+    end: np.ndarray,
+    split: Split,
+    whole: Whole,
+    least: float,
+) -> list[Trial]:
+    """Trials of these effects one after the other from the start, each begun from what it ended with."""
+    problem.model, z = start
+    problem.move_to(z)
+    found: list[Trial] = []
+    for k, name in enumerate(names):
+        off = problem.model.indices(set(problem.model.effects) - set(names[: k + 1]))
+        begin = end.copy()
+        begin[off] = 0
+        found.append(refit(problem, name, split, whole, least, begin=begin))
+        problem.move_to(found[-1].z)
+        if found[-1].choice is not None:
+            problem.choose(found[-1].choice)
+    return found

@@ -1,0 +1,145 @@
+"""Effects are added one after the other, and taken back where others make up for them."""
+
+import types
+
+import numpy as np
+import pytest
+
+from jaxisp.gap import stepwise
+from jaxisp.gap.measured import Split
+from jaxisp.gap.refit import Trial, Whole
+from jaxisp.gap.stepwise import Terms, search
+
+
+class Problem:
+    model = None
+
+    def __init__(self):
+        self.z = np.zeros(1)
+
+    def move_to(self, z):
+        self.z = z
+
+
+def searched(monkeypatch, closes, terms, beside=("prnu",)):
+    """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
+    asked = []
+
+    def refit(problem, name, split, whole, least):
+        asked.append(least)
+        share, half = closes[name]
+        before = 11.0 - float(problem.z[0])
+        return Trial(
+            name,
+            problem.z + 10 * share,
+            before,
+            before - 10 * share,
+            share,
+            share - half,
+            share + half,
+            least,
+        )
+
+    monkeypatch.setattr(stepwise, "screen", lambda problem, names, split: {n: closes[n][0] for n in names})
+    monkeypatch.setattr(stepwise, "foretold", lambda problem, name, split: closes[name][0])
+    monkeypatch.setattr(stepwise, "refit", refit)
+    monkeypatch.setattr(stepwise, "_needed", lambda *a: a[2])
+    whole = Whole(10.0, np.ones((1, 1)))
+    closes = closes | dict.fromkeys(beside, (0.0, 0.0))
+    causes, *_ = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
+    return [t.effect for t, _ in causes], asked
+
+
+def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
+    closes = {"chroma_denoising": (0.8, 0.05), "vignetting": (0.15, 0.04)}
+    terms = Terms(0.05, 3, part=0.15)
+    assert searched(monkeypatch, closes, terms)[0] == list(closes)
+    names, asked = searched(monkeypatch, closes, terms._replace(part=0.6))  # 0.12 of the gap
+    assert names == ["chroma_denoising"] and asked[-1] == pytest.approx(0.12)
+    assert searched(monkeypatch, closes, terms._replace(enough=0.25))[0] == ["chroma_denoising"]
+
+
+def test_nothing_to_try_finds_nothing(monkeypatch):
+    monkeypatch.setattr(stepwise, "screen", lambda problem, names, split: {n: 1.0 for n in names})
+    whole = Whole(10.0, np.ones((1, 1)))
+    found = search(Problem(), [], Split((0,), (1,)), whole, Terms(0.05, 3), lambda *tick: None)
+    assert found == ([], {}, {})
+
+
+def test_all_that_is_tried_may_be_found(monkeypatch):
+    closes = {"chroma_denoising": (0.5, 0.05)}
+    assert searched(monkeypatch, closes, Terms(0.05, 3), beside=())[0] == ["chroma_denoising"]
+
+
+def test_beside_grain_less_can_lead(monkeypatch):
+    closes = {"green_imbalance": (0.12, 0.04)}
+    assert searched(monkeypatch, closes, Terms(0.05, 3))[0] == []
+    assert searched(monkeypatch, closes, Terms(0.05, 3, leading=0.1))[0] == ["green_imbalance"]
+
+
+NAMES = ("chroma_denoising", "chroma_subsampling", "vignetting")
+
+
+class Fitted:
+    """A gap of 10 above a floor of 1; each effect has a coordinate, which is 1 where it is on."""
+
+    def __init__(self, closes):
+        self.z, self.closes = np.zeros(len(NAMES)), closes
+        moves = {name: [k] for k, name in enumerate(NAMES)}
+        self.model = types.SimpleNamespace(
+            effects=moves, indices=lambda names: [moves[name][0] for name in names]
+        )
+
+    def gap(self, z):
+        return 11 - 10 * self.closes[tuple(name for name, v in zip(NAMES, z) if v)]
+
+    def move_to(self, z):
+        self.z = z.copy()
+
+
+def needed(monkeypatch, closes, names, least=0.05):
+    """What is left of effects that close these shares together, and where each fit began."""
+    problem, begun = Fitted(closes), []
+
+    def fitted(problem, name, begin):
+        z = problem.z.copy()
+        z[NAMES.index(name)] = 1
+        begun.append(None if begin is None else begin.tolist())
+        before, after = problem.gap(problem.z), problem.gap(z)
+        closed = (before - after) / 10
+        return Trial(name, z, before, after, closed, closed - 0.01, closed + 0.01, least)
+
+    monkeypatch.setattr(stepwise, "refit", lambda problem, name, *a, begin=None: fitted(problem, name, begin))
+    start, trials = (problem.model, problem.z), []
+    for name in names:
+        trials.append(fitted(problem, name, None))
+        problem.move_to(trials[-1].z)
+    begun.clear()
+    whole = Whole(10.0, np.ones((1, 1)))
+    found = stepwise._needed(problem, start, trials, Split((0,), (1,)), whole, least)
+    return [(t.effect, round(t.closed, 6)) for t in found], begun
+
+
+def test_what_a_later_effect_makes_up_for_is_taken_back(monkeypatch):
+    first, second, _ = NAMES
+    closes = {(): 0.0, (first,): 0.5, (second,): 0.93, (first, second): 0.95}
+    found, begun = needed(monkeypatch, closes, [first, second])
+    assert found == [(second, 0.93)] and begun == [[0, 1, 0]]  # from where both ended
+
+
+def test_what_nothing_else_makes_up_for_stays(monkeypatch):
+    first, second, _ = NAMES
+    closes = {(): 0.0, (first,): 0.5, (second,): 0.6, (first, second): 0.95}
+    assert needed(monkeypatch, closes, [first, second])[0] == [(first, 0.5), (second, 0.45)]
+    assert needed(monkeypatch, closes, [first, second], least=0.4)[0] == [(second, 0.6)]
+
+
+def test_of_three_two_may_be_left_or_one(monkeypatch):
+    first, second, third = NAMES
+    closes = {
+        (): 0.0, (first,): 0.5, (second,): 0.6, (third,): 0.3,
+        (first, second): 0.7, (first, third): 0.8, (second, third): 0.94, NAMES: 0.95,
+    }  # fmt: skip
+    assert needed(monkeypatch, closes, NAMES)[0] == [(second, 0.6), (third, 0.34)]
+    closes[(third,)] = 0.92
+    assert needed(monkeypatch, closes, NAMES)[0] == [(third, 0.92)]
