@@ -122,8 +122,10 @@ def sentence(report: Mapping[str, Any]) -> str:
     rest = f". {left}." if left else "."
     if len(causes) == 1:
         c = causes[0]
-        closes = f"it closes {percent(c['closed'])} {span(c['ci'])} of the gap on held-out pairs"
-        return f"The simulator lacks {_group(c)}: {closes}{rest}"
+        share = f"{percent(c['closed'])} {span(c['ci'])}"
+        # more than all: what is left is less than chance and harmless differences come to
+        closed = f"all of the gap ({share})" if c["closed"] > 1 else f"{share} of the gap"
+        return f"The simulator lacks {_group(c)}: it closes {closed} on held-out pairs{rest}"
     each = "; ".join(f"{_group(c)} ({percent(c['closed'])} {span(c['ci'])})" for c in causes)
     return (
         f"The simulator lacks {len(causes)} effects, which close "

@@ -149,6 +149,15 @@ def test_numbers_of_numpy_become_json(tmp_path):
     assert found["gap"]["ci"] == [None, 5.0] and found["seconds"] == 3.0
 
 
+def test_more_than_the_gap_is_all_of_it():
+    report = changed(unexplained={"share": 0.0, "axes": [], "description": ""})
+    report["causes"][0] |= {"closed": 1.23, "ci": [0.93, 1.56], "alternatives": []}
+    said = sentence(report).replace("\N{NO-BREAK SPACE}", " ")
+    assert said == (
+        "The simulator lacks vignetting: it closes all of the gap (123 % [93, 156]) on held-out pairs."
+    )
+
+
 def test_what_it_says():
     text = html(REPORT, PICTURES).replace("\N{NO-BREAK SPACE}", " ")
     first = "The simulator lacks vignetting: it closes 81 % [76, 85] of the gap on held-out pairs."
