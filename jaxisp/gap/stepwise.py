@@ -89,7 +89,7 @@ def search(
             break
     if len(causes) > 1:
         tick(most - 1, most, "looking for effects that the others make up for")
-        needed = _needed(problem, start, [t for t, _ in causes], split, whole, terms.least)
+        needed = _needed(problem, start, [t for t, _ in causes], split, whole, terms)
         if len(needed) < len(causes):
             names_needed = [t.effect for t in needed]
             others = [t for t in first_trials.values() if t.effect not in names_needed]
@@ -103,16 +103,16 @@ def _needed(
     trials: Sequence[Trial],
     split: Split,
     whole: Whole,
-    least: float,
+    terms: Terms,
 ) -> Sequence[Trial]:
-    """These trials, or fewer that close as much but for what nulls have: those before the last are left out,
-    one after the other, the rest fitted from where all of them ended."""
+    """These trials, or fewer that close as much but for what nulls have: those before the last that the files
+    do not show are left out, one after the other, the rest fitted from where all of them ended."""
     end = trials[-1]
-    for left_out in trials[:-1]:
+    for left_out in (t for t in trials[:-1] if t.effect not in terms.seen):
         rest = [t.effect for t in trials if t is not left_out]
-        found = _replayed(problem, start, rest, end.z, split, whole, least)
-        if all(t.accepted for t in found) and found[-1].after - end.after < least * whole.size:
-            return _needed(problem, start, found, split, whole, least)
+        found = _replayed(problem, start, rest, end.z, split, whole, terms.least)
+        if all(t.accepted for t in found) and found[-1].after - end.after < terms.least * whole.size:
+            return _needed(problem, start, found, split, whole, terms)
     return trials
 
 

@@ -97,7 +97,7 @@ class Fitted:
         self.z = z.copy()
 
 
-def needed(monkeypatch, closes, names, least=0.05):
+def needed(monkeypatch, closes, names, least=0.05, seen=()):
     """What is left of effects that close these shares together, and where each fit began."""
     problem, begun = Fitted(closes), []
 
@@ -116,7 +116,7 @@ def needed(monkeypatch, closes, names, least=0.05):
         problem.move_to(trials[-1].z)
     begun.clear()
     whole = Whole(10.0, np.ones((1, 1)))
-    found = stepwise._needed(problem, start, trials, Split((0,), (1,)), whole, least)
+    found = stepwise._needed(problem, start, trials, Split((0,), (1,)), whole, Terms(least, 3, seen=seen))
     return [(t.effect, round(t.closed, 6)) for t in found], begun
 
 
@@ -125,6 +125,7 @@ def test_what_a_later_effect_makes_up_for_is_taken_back(monkeypatch):
     closes = {(): 0.0, (first,): 0.5, (second,): 0.93, (first, second): 0.95}
     found, begun = needed(monkeypatch, closes, [first, second])
     assert found == [(second, 0.93)] and begun == [[0, 1, 0]]  # from where both ended
+    assert len(needed(monkeypatch, closes, [first, second], seen=[first])[0]) == 2  # the files show it
 
 
 def test_what_nothing_else_makes_up_for_stays(monkeypatch):
