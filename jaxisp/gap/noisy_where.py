@@ -55,7 +55,13 @@ def credited(rows: Rows, difference: np.ndarray, without: np.ndarray, weights: n
     total = sum(above.values()) + 1e-9
     spilt = {a: max(above[a] - left[a], 0.0) / total for a in _SPILT if a in above}
     moved = spilt | {_PLACE: -sum(spilt.values())}
-    return _ranked([row | {"share": row["share"] - moved.get(row["axis"], 0.0)} for row in rows])
+    surely = min((row["p_value"] for row in rows if spilt.get(row["axis"], 0.0) > 0), default=1.0)
+
+    def own(row: dict[str, Any]) -> dict[str, Any]:
+        p_value = min(row["p_value"], surely) if row["axis"] == _PLACE else row["p_value"]
+        return row | {"share": row["share"] - moved.get(row["axis"], 0.0), "p_value": p_value}
+
+    return _ranked([own(row) for row in rows])
 
 
 def in_one_place(residual: np.ndarray, scenes: Sequence[str]) -> np.ndarray:

@@ -89,7 +89,8 @@ def test_every_move_shows(model):
         z = np.zeros(len(model.coordinates))
         start = before
         if coordinate.move.field in _WAYS.get(coordinate.node, ()):
-            z[model.indices([coordinate.node])[0]] = 0.5
+            first = model.indices([coordinate.node])[0]
+            z[first] = min(0.5, model.ranges[1, first])
             start = model.render(z, light)
         z[i] = step
         assert np.abs(model.render(z, light) - start).max() > 1e-4, coordinate

@@ -56,5 +56,9 @@ def test_what_vanishes_with_the_place_is_the_place_s():
     kept = after / before
     assert now["tail"] == pytest.approx(kept * share["tail"])
     assert now["fixed_pattern"] == pytest.approx(share["fixed_pattern"] + (1 - kept) * share["tail"])
+    p_value = {row["axis"]: row["p_value"] for row in found}
+    assert p_value["fixed_pattern"] == min(
+        row["p_value"] for row in rows if row["axis"] in ("tail", "fixed_pattern")
+    )
     assert now["row"] == share["row"] and sum(now.values()) == pytest.approx(sum(share.values()))
     assert [row["share"] for row in found] == sorted(now.values(), reverse=True)
