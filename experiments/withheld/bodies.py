@@ -177,6 +177,17 @@ def hyperbolic_tangent(x: np.ndarray) -> np.ndarray:
     return srgb_encode(np.tanh(1.4 * np.clip(x, 0, 1)) / np.tanh(1.4))
 
 
+def two_powers(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 1e-6, 1)
+    return 0.6 * x ** (1 / 2.6) + 0.4 * x ** (1 / 1.6)
+
+
+def quarter_sine(x: np.ndarray) -> np.ndarray:
+    """Light bent by a quarter of a sine in part, flat at white, before the display's curve."""
+    x = np.clip(x, 0, 1)
+    return srgb_encode(0.5 * x + 0.5 * np.sin(np.pi / 2 * x))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -308,6 +319,22 @@ BODIES = {
             exposure=0.8, spot=0.59, luma_share=0.02, intermediate_bits=14, sign=-1,
             bright=Noise(13000.0, 4.3), dim=Noise(1000.0, 8.0),
         ),
+        # by np.random.default_rng(20261125)
+        Body(
+            "yew", "BGGR", 12, 90.0, (2.12, 1.0, 1.56),
+            _matrix((1.33, -0.04, -0.29), (-0.44, 1.88, -0.44), (-0.12, -0.04, 1.16)),
+            two_powers, "malvar", "hamilton-adams", 94, sampling="4:2:0", order="balance-last",
+            border="own", exposure=0.88, spot=0.45, luma_share=0.03, intermediate_bits=12, sign=-1,
+            bright=Noise(10000.0, 2.1), dim=Noise(2200.0, 7.0),
+        ),
+        Body(
+            "zelkova", "BGGR", 10, 66.0, (1.91, 1.0, 1.67),
+            _matrix((1.58, -0.36, -0.22), (-0.45, 1.63, -0.18), (-0.47, -0.28, 1.75)),
+            quarter_sine, "variable-gradients", "hamilton-adams", 94, encoder="opencv",
+            order="balance-last", border="cells", exposure=0.85, spot=0.52, luma_share=0.02,
+            intermediate_bits=12, sign=-1, bright=Noise(19000.0, 3.8), dim=Noise(1600.0, 10.0),
+            standing=("demosaicking",),
+        ),
     )
 }  # fmt: skip
 LATER = (
@@ -322,5 +349,7 @@ LATER = (
     "spruce",
     "tamarack",
     "walnut",
+    "yew",
+    "zelkova",
 )
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
