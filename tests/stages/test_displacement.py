@@ -1,0 +1,179 @@
+"""Stages that move pixels, against OpenCV's map, SciPy's samples and cubic convolution."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from jaxisp.pipeline import stage
+from jaxisp.stages import optics
+from jaxisp.stages.optics import displacement
+
+from .lens import CENTRE, H, W, apply, offsets, picture, squared_radius
+
+
+def sampled(plane, dy, dx) -> np.ndarray:
+    """SciPy's bilinear samples around the centre, borders replicated."""
+    return ndimage.map_coordinates(plane, [dy + CENTRE[0], dx + CENTRE[1]], order=1, mode="nearest")
+
+
+@pytest.mark.parametrize("shifts", [displacement._MOST_SHIFTS, -1])
+@pytest.mark.parametrize(
+    ("red", "blue", "most"), [(0.99, 1.01, 0.01), (1.004, 0.994, 0.01), (1.03, 0.97, 0.03)]
+)
+def test_lateral_chromatic_aberration(red, blue, most, shifts, monkeypatch, x64):
+    """Both forms, shifted views and gathers, on an image large enough to move by more than a pixel."""
+    monkeypatch.setattr(displacement, "_MOST_SHIFTS", shifts)
+    image = picture(dtype=float, shape=(53, 260))
+    params = optics.LateralChromaticAberration(red_scale=red, blue_scale=blue)
+    out = jax.jit(optics.lateral_chromatic_aberration, static_argnames="most")(params, image, most=most)
+    y, x = np.mgrid[:53, :260].astype(float)
+    for channel, scale in ((0, red), (2, blue)):
+        places = [26 + (y - 26) / scale, 129.5 + (x - 129.5) / scale]
+        want = ndimage.map_coordinates(image[..., channel], places, order=1, mode="nearest")
+        np.testing.assert_allclose(out[..., channel], want, atol=1e-12)
+    np.testing.assert_array_equal(out[..., 1], image[..., 1])
+
+
+def test_a_scale_above_one_magnifies():
+    image = np.zeros((H, 201, 3), np.float32)
+    image[10, [20, 180]] = 1  # 80 px to both sides of the centre
+    out = apply(optics.LateralChromaticAberration(red_scale=1.006, blue_scale=0.995), image)
+    columns = np.arange(201) - 100
+    right = out[..., 101:, :].sum(0) / out[..., 101:, :].sum((0, 1))
+    np.testing.assert_allclose(columns[101:] @ right, [80 * 1.006, 80, 80 * 0.995], atol=0.02)
+
+
+def test_no_scaling_is_the_identity_with_a_central_gradient(x64):
+    image = picture(dtype=float)
+    weights = np.zeros((H, W))
+    weights[2:-2, 2:-2] = np.random.default_rng(1).standard_normal((H - 4, W - 4))
+
+    def loss(scale):
+        params = optics.LateralChromaticAberration(red_scale=scale, blue_scale=jnp.ones(()))
+        out = optics.lateral_chromatic_aberration(params, jnp.asarray(image))
+        return jnp.sum(out[..., 0] * weights), out
+
+    got, out = jax.jit(jax.grad(loss, has_aux=True))(1.0)
+    np.testing.assert_array_equal(out, image)
+    slope_y, slope_x = np.gradient(image[..., 0])
+    y, x = offsets()
+    np.testing.assert_allclose(got, -np.sum(weights * (y * slope_y + x * slope_x)), rtol=1e-10)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(0.2, 0.07), (-0.2, -0.07), (0.11, -0.03)])
+def test_geometric_distortion_is_brown_s_model(k1, k2, x64):
+    """OpenCV gives the map (its focal length is half the diagonal), SciPy the samples."""
+    image = picture(dtype=float)
+    focal = np.hypot(*CENTRE)
+    camera = np.array([[focal, 0, CENTRE[1]], [0, focal, CENTRE[0]], [0, 0, 1]])
+    lens = np.array([k1, k2, 0, 0])
+    x, y = cv2.initUndistortRectifyMap(camera, lens, None, camera, (W, H), cv2.CV_32FC1)
+    out = apply(optics.GeometricDistortion(k1=k1, k2=k2), image)
+    for channel in range(3):
+        want = ndimage.map_coordinates(image[..., channel], [y, x], order=1, mode="nearest")
+        np.testing.assert_allclose(out[..., channel], want, atol=3e-6)  # OpenCV's map is float32
+    factor = 1 + k1 * squared_radius() + k2 * squared_radius() ** 2
+    dy, dx = offsets()
+    np.testing.assert_allclose(out[..., 0], sampled(image[..., 0], dy * factor, dx * factor), atol=1e-12)
+
+
+def test_no_distortion_is_the_identity():
+    image = 4 * picture() - 1
+    np.testing.assert_array_equal(apply(optics.GeometricDistortion(), image), image)
+
+
+@pytest.mark.parametrize("shape", [(23, 31, 3), (23, 401, 3), (1, 9, 3), (9, 1, 3)])
+@pytest.mark.parametrize(
+    "name", ["geometric_distortion", "lateral_chromatic_aberration", "radial_warp", "color_magnification"]
+)
+def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shape, monkeypatch, x64):
+    """Forward and reverse mode are written separately; these few pixels are large enough for strips here."""
+    monkeypatch.setattr(displacement, "_STRIP", 5 * shape[1])
+    monkeypatch.setattr(displacement, "_MOST_SHIFTS", 1)  # the wide image is sampled, the others shifted
+    node = stage(name)
+    params = jax.tree.map(lambda v: jnp.asarray(v, float) + 0.0071, node.init())
+    image, change, weights = np.random.default_rng(0).random((3, *shape))
+    moved = jax.tree.map(lambda v: jnp.full_like(v, 0.5), params)
+    _, tangent = jax.jvp(lambda p, x: node(p, x), (params, image), (moved, change))
+    by_params, by_image = jax.vjp(lambda p, x: node(p, x), params, image)[1](jnp.asarray(weights))
+    backward = sum(0.5 * v for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
+    np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
+
+
+def weights(places, count, sharpness):
+    """(..., count) what each pixel counts at these places: the tent, and Keys' (1981) eq. 15 in its stead."""
+    t = np.abs(places[..., None] - np.arange(count))
+    tent = np.maximum(1 - t, 0)
+    far = -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
+    return (1 - sharpness) * tent + sharpness * np.where(
+        t < 1, 1.5 * t**3 - 2.5 * t**2 + 1, np.where(t < 2, far, 0)
+    )
+
+
+@pytest.mark.parametrize("sharpness", [0.4, 1.0, 2.0])
+def test_radial_warp_reads_by_cubic_convolution(sharpness, x64):
+    image = picture(dtype=float)
+    out = apply(optics.RadialWarp(k1=-0.11, sharpness=sharpness), image)
+    places = [c + d * (1 - 0.11 * squared_radius()) for c, d in zip(CENTRE, offsets())]
+    down, across = (weights(p, n, sharpness) for p, n in zip(places, (H, W)))
+    want = np.einsum("hwa,hwb,abc->hwc", down, across, image)
+    np.testing.assert_allclose(out[3:-3, 3:-3], want[3:-3, 3:-3], atol=1e-12)
+
+
+@pytest.mark.parametrize(("red", "blue"), [(0.975, 1.0), (1.01, 0.99)])
+def test_color_magnification_reads_by_cubic_convolution(red, blue, x64):
+    """`jax.image` has the same kernel; at borders it weighs what is there."""
+    image = picture(dtype=float)
+    out = apply(optics.ColorMagnification(red_scale=red, blue_scale=blue), image)
+    for channel, scale in enumerate((red, 1.0, blue)):
+        shift = (1 - scale) * (np.array(CENTRE) + 0.5)
+        plain = jnp.asarray(image[..., channel])
+        want = jax.image.scale_and_translate(
+            plain, (H, W), (0, 1), jnp.full(2, scale), jnp.asarray(shift), "cubic", antialias=False
+        )
+        np.testing.assert_allclose(out[3:-3, 3:-3, channel], want[3:-3, 3:-3], atol=1e-9)
+
+
+@pytest.mark.parametrize("params", [optics.RadialWarp(), optics.ColorMagnification()])
+def test_a_warp_that_moves_nothing_is_the_identity(params):
+    image = 4 * picture() - 1
+    np.testing.assert_array_equal(apply(params, image), image)
+
+
+def test_without_sharpness_warps_are_those_of_a_lens():
+    image = picture()
+    warp, lens = optics.RadialWarp(k1=0.1, sharpness=0.0), optics.GeometricDistortion(k1=0.1)
+    np.testing.assert_allclose(apply(warp, image), apply(lens, image), atol=1e-6)
+    scales = {"red_scale": 0.992, "blue_scale": 1.004}
+    warp = optics.ColorMagnification(**scales, sharpness=0.0)
+    np.testing.assert_allclose(
+        apply(warp, image), apply(optics.LateralChromaticAberration(**scales), image), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("k1", [-0.2, 0.2])
+def test_distortion_never_folds(k1):
+    """At the bounds the sampled radius still grows outwards."""
+    ramp = np.abs(offsets()[1]).astype(np.float32)
+    out = apply(optics.GeometricDistortion(k1=k1, k2=np.sign(k1) * 0.07), np.stack([ramp] * 3, -1))
+    assert (np.diff(out[H // 2, W // 2 :, 0]) > (0 if k1 < 0 else -1e-6)).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (5, 1), (2, 2)])
+def test_geometry_of_tiny_images(shape):
+    image = picture(shape=shape)
+    for params in (
+        optics.GeometricDistortion(k1=0.2, k2=-0.07),
+        optics.LateralChromaticAberration(red_scale=1.01, blue_scale=0.99),
+        optics.RadialWarp(k1=0.2, sharpness=0.0),
+        optics.ColorMagnification(red_scale=1.03, sharpness=0.0),
+        optics.Vignetting(a2=-1.0),
+    ):
+        out = apply(params, image)
+        assert out.shape == image.shape
+        assert np.isfinite(out).all()
+        assert out.min() >= 0.4 * image.min()
+        assert out.max() <= image.max() + 1e-6
