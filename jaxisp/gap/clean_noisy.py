@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.gap import noisy_tones as tones
-from jaxisp.gap.measured import Part, Rows, Split
+from jaxisp.gap.measured import Ladders, Part, Rows, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
@@ -25,6 +25,8 @@ from jaxisp.gap.statistics import features, frames_of, mean_features
 from jaxisp.gap.threads import each
 
 _REPLICATES = 4
+_KEPT = 128
+"""Points whose statistics are kept: where a search has looked it goes, and compares with."""
 _FEWEST = 4  # scenes that tell how they differ
 
 
@@ -63,6 +65,7 @@ class StatisticsProblem:
         self._weights, self._counted = weights(), np.ones_like(weights())
         self._emphasis: np.ndarray | None = None
         self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
+        self._known: dict[bytes, tuple[Model, tuple[np.ndarray, np.ndarray]]] = {}
         self.fresh: Sequence[int] = told_by_noise(model)
         self.real = self.measured(self.target)
         self.floors = np.ones(len(pairs.names))
@@ -91,6 +94,15 @@ class StatisticsProblem:
     def _seen(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, F) statistics and (N, T) tones of a simulated set, these and the mean's statistics without the
         effects that are noise: where a pattern has its pixels is chance, and the same in all pictures."""
+        model, found = self._known.get(z.tobytes(), (None, None))
+        if found is None or model is not self.model:
+            found = self._looked_at(z)
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            self._known[z.tobytes()] = self.model, found
+        return found
+
+    def _looked_at(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         picture, still = self.picture(z), self.model.still(z)
         found = self.measured(picture)
         if (still != z).any():
@@ -226,6 +238,23 @@ class StatisticsProblem:
         self.difference = self._mean(self._scale * self._counted * (self.real - self._simulated))
         self.columns: dict[int, np.ndarray] = {}
 
+    def follow(self, z: np.ndarray) -> None:
+        """Go to a point and take the columns along, each turned so that together they say what the way there
+        did (Broyden 1965): a step then costs one set of pictures, not one a coordinate."""
+        columns, start, before = self.columns, self.z, self._state()
+        self.move_to(z)
+        way = {i: self.z[i] - start[i] for i in columns if self.z[i] != start[i]}
+        if not way:
+            return
+        off = self._state() - before - sum(columns[i] * step for i, step in way.items())
+        length = sum((step / self.model.steps[i]) ** 2 for i, step in way.items())
+        turned = {i: columns[i] + off * (way[i] / self.model.steps[i] ** 2 / length) for i in way}
+        self.columns = columns | turned
+
+    def _state(self) -> np.ndarray:
+        """(N, F + T) what columns are the changes of, but for what does not change."""
+        return np.concatenate([-self.difference, self._toned], 1)
+
     @property
     def residual(self) -> np.ndarray:
         return (self.target - np.asarray(self.base_picture)) * self.weight
@@ -243,11 +272,11 @@ class StatisticsProblem:
         """The point with one coordinate elsewhere; a noise that is added there is taken from read noise."""
         return placed(self.model, z, i, value)
 
-    def starts(self, own: Sequence[int]) -> list[np.ndarray]:
-        """Where to begin fitting a noise."""
+    def starts(self, own: Sequence[int]) -> list[Ladders]:
+        """Where to begin fitting these coordinates, form by form."""
         return starts(self.model, self.z, own)
 
-    def noisier(self, z: np.ndarray, i: int) -> list[np.ndarray]:
+    def noisier(self, z: np.ndarray, i: int) -> Ladders:
         """The point, and with more noise than it has where coordinate i may smooth it."""
         return noisier(self.model, z, i)
 
@@ -277,6 +306,7 @@ class StatisticsProblem:
         own["_maps"] = [self._maps[i] for i in index]
         own["_frames"] = frames_of([scene_name(name) for name in own["pairs"].names])
         own["_numbers"] = index
+        own["_known"] = {}
         part = copy.copy(self)
         part.__dict__.update(own)
         return own | {"real": part.measured(part.target)}

@@ -78,6 +78,7 @@ class Effect:
         random: it adds noise, and is seen in statistics only.
         strong: for an effect that smooths noise, points (the changes of its moves, in order) from which a
             fit may start as well, with more noise than the base has: the base imitates it by less.
+        exact: these forms are what cameras do: what lies between two must be clearly better to be believed.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     random: bool = False
     strong: tuple[tuple[float, ...], ...] = ()
+    exact: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """As `jaxisp effects --json` lists it."""
@@ -270,7 +272,7 @@ _add(
     "chroma_subsampling", stage("chroma_subsampling"), "output",
     [Move(share, 1.0, 0, 1, far=(1.0,)) for share in ("horizontal", "vertical", "sampled", "repeated")],
     "channel frequency edge", "chroma_denoising jpeg_quantization",
-    strong=((1, 0, 0, 0), (1, 1, 0, 0), (1, 1, 0, 1), (1, 1, 1, 1)),
+    strong=((1, 0, 0, 0), (1, 1, 0, 0), (1, 1, 0, 1), (1, 1, 1, 1)), exact=True,
 )  # fmt: skip
 _add(
     "double_compression", stage("earlier_compression"), "output",

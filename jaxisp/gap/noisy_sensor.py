@@ -52,11 +52,15 @@ def find_sensor(
     """
     found, pairs = [], pairs.take(fit_on)
     for chroma in _CHROMA:
+        least = np.inf
         for sigma in _SOFTNESS:
             view = _View(_softened(pairs, sigma), chroma)
             own = _with_pattern(camera, params, view) if any_pattern else camera
             own = _with_demosaicking(own, params, view)
             found.append((view.error(own, params), chroma, sigma, own))
+            if found[-1][0] > least:  # what is softer than the best is only farther
+                break
+            least = found[-1][0]
     kept = found[0]
     for smooth in _CHROMA:  # each lens must be worth it beside those before
         best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
+from jaxisp.gap.measured import Ladders
 from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_base import MIXING
 from jaxisp.pipeline import signature
@@ -43,37 +44,40 @@ def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
     return moved
 
 
-def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[np.ndarray]:
-    """Where the fit of an effect may begin: several strengths of a noise, with more or less of the base's own
-    taken back; strong forms of what smooths noise, with more of it; none for other effects."""
+def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[Ladders]:
+    """Where the fit of an effect may begin, form by form: several strengths of a noise, with more or less of
+    the base's own taken back; strong forms of what smooths noise, each with more of it; none for other
+    effects."""
     coordinates = [model.coordinates[i] for i in own]
     if not own or coordinates[0].node not in EFFECTS:
         return []
     effect = EFFECTS[coordinates[0].node]
-    found = [z]
+    at_rest = [[z]]
     if effect.random:
         first = own[0]
         for times in _TIMES:
             value = float(np.clip(z[first] + times * coordinates[0].move.step, *model.ranges[:, first]))
             point = placed(model, z, first, value)
-            found += [point, *(_with_noise(model, point, share) for share in _LESS)]
+            at_rest += [[point], *([_with_noise(model, point, share)] for share in _LESS)]
+    forms = []
     for form in effect.strong:
         change = {(m.field, m.index): value for m, value in zip(effect.moves, form)}
         point = z.copy()  # a simulator may have some of the moves open
         values = [change[c.move.field, c.move.index] for c in coordinates]
         point[own] = np.clip(values, *model.ranges[:, own])
-        found += [_with_noise(model, place, share) for place in _places(model, point) for share in _MORE]
-    return found if len(found) > 1 else []
+        forms.append(_ladders(model, point))
+    return [at_rest, *forms] if forms or len(at_rest) > 1 else []
 
 
-def noisier(model: Model, z: np.ndarray, i: int) -> list[np.ndarray]:
+def noisier(model: Model, z: np.ndarray, i: int) -> Ladders:
     """The point, and with more and more of the base's noise: what smooths it, as coordinate i may unless it
     is a noise itself, has been imitated by less."""
     node = model.coordinates[i].node
-    if node in EFFECTS and EFFECTS[node].random:
-        return [z]
-    places = _places(model, z)
-    return [*places, *(_with_noise(model, place, share) for place in places for share in _MORE[1:])]
+    return [[z]] if node in EFFECTS and EFFECTS[node].random else _ladders(model, z)
+
+
+def _ladders(model: Model, z: np.ndarray) -> Ladders:
+    return [[_with_noise(model, place, share) for share in _MORE] for place in _places(model, z)]
 
 
 def _places(model: Model, z: np.ndarray) -> list[np.ndarray]:

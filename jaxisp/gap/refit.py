@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
-from jaxisp.gap.measured import Measured, Split
+from jaxisp.gap.measured import Ladders, Measured, Split
 from jaxisp.gap.model import Choice
 from jaxisp.gap.solve import fit
 from jaxisp.gap.threads import each
@@ -17,6 +17,10 @@ FARTHEST = 0.2
 """By what share an effect may raise the mean square distance of pixels, noise and all. Statistics are blind
 to much: a warp of several pixels smooths noise as well, but what it shows is elsewhere."""
 _DRAWS = 400
+_HOPELESS = 4.0
+"""How many times the least error of all forms one may leave at first for the base to be fitted beside it."""
+_FREER = 0.9
+"""What share of a form's error its effect must leave where its numbers are free, to be between forms."""
 _ROUNDING = 1 / 12  # of 8 bits, which pictures without noise have left
 _LEAST_WHOLE = 0.25  # of the gap in what is drawn: near the floor a part of it may be none
 
@@ -80,6 +84,7 @@ def refit(
     least: float,
     steps: int = 4,
     begin: np.ndarray | None = None,
+    form: np.ndarray | None = None,
 ) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
@@ -89,15 +94,18 @@ def refit(
         whole: the gap before any effect.
         least: the share that the lower end of its interval must be above, beside `SMALLEST`.
         begin: where the fit starts, what is searched for being found there; None: it is looked for.
+        form: of `nearest_form`; what moves freely from there must be better by a tenth.
     """
     own = problem.model.indices([effect])
     moving = [*problem.model.base_indices, *switched_on(problem), *own]
     part, seen = problem.take(split.fit), range(len(split.fit))
     if begin is None:
-        _fit_with(part, moving, own, seen, steps)
+        _fit_with(part, moving, own, seen, steps, form)
     else:
         part.move_to(begin)
         fit(part, [i for i in moving if not part.model.coordinates[i].move.grid], seen, steps=steps)
+    if form is not None and part.errors(part.z).mean() > _FREER * part.errors(form).mean():
+        part.move_to(form)
     choice = _choose_again(part, seen)
     if choice is not None:
         fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
@@ -145,21 +153,28 @@ def _harmless(
 
 
 def _fit_with(
-    part: Measured, moving: Sequence[int], own: Sequence[int], seen: Sequence[int], steps: int
+    part: Measured,
+    moving: Sequence[int],
+    own: Sequence[int],
+    seen: Sequence[int],
+    steps: int,
+    form: np.ndarray | None = None,
 ) -> None:
     """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
     gridded = [i for i in own if part.model.coordinates[i].move.grid]
-    afar = _from_afar(part, own, seen)
+    afar = _from_afar(part, own, seen) if form is None else part.z
     if (afar != part.z).any():
         part.move_to(afar)
         part.compute([i for i in moving if i not in gridded])
     columns = part.columns
     for i in gridded:
         points = [part.placed(part.z, i, part.z[i] + v) for v in part.model.coordinates[i].move.grid]
-        part.move_to(_best_of([near for z in points for near in part.noisier(z, i)], part, seen))
+        part.move_to(_climbed([ladder for z in points for ladder in part.noisier(z, i)], part, seen))
     starts = part.starts([i for i in own if i not in gridded])
     if starts:
-        part.move_to(_best_of(starts, part, seen))
+        part.move_to(
+            _climbed([ladder for own in starts for ladder in own], part, seen) if form is None else form
+        )
     smooth = [i for i in moving if i not in gridded]
     fresh = [i for i in smooth if i in own or i in part.fresh]
     if starts or gridded:  # the columns of these are another point's
@@ -179,6 +194,45 @@ def _fit_with(
         go_to(_nearby(part, i, 0.25, seen))
         if part.model.coordinates[i].move.fine:
             go_to(_finely(part, i, seen))
+
+
+def nearest_form(problem: Measured, effect: str, split: Split) -> np.ndarray | None:
+    """Of an effect whose forms are exact the one that leaves the least error once the base is fitted beside
+    it, where that ends; None of other effects, or where the base alone does as well.
+
+    The base has imitated what a form does, so that the right one may look worse at first, and numbers that
+    move freely from there end between two, which other scenes do not bear out.
+    """
+    if effect not in EFFECTS or not EFFECTS[effect].exact:
+        return None
+    part, seen, own = problem.take(split.fit), range(len(split.fit)), problem.model.indices([effect])
+    moving = [*problem.model.base_indices, *switched_on(problem)]
+    columns = {i: column for i, column in part.columns.items() if i not in part.fresh}
+    points = [_climbed(ladders, part, seen) for ladders in part.starts(own)]
+    errors = [float(part.errors(z).mean()) for z in points]
+    ends = []
+    for point in (z for z, error in zip(points, errors) if error <= _HOPELESS * min(errors)):
+        part.move_to(point)
+        part.columns = dict(columns)
+        part.compute(moving)
+        ends.append((fit(part, moving, seen, steps=2, fresh=part.fresh), part.z))
+    found = min(ends, key=lambda end: end[0])[1] if ends else problem.z
+    return found if (found[own] != problem.z[own]).any() else None
+
+
+def _climbed(ladders: Ladders, part: Measured, seen: Sequence[int]) -> np.ndarray:
+    """The point that leaves the least error, each ladder climbed as long as that falls."""
+
+    def climb(ladder: list[np.ndarray]) -> tuple[float, np.ndarray]:
+        least, best = np.inf, ladder[0]
+        for z in ladder:
+            error = float(part.errors(z)[list(seen)].mean())
+            if error >= least:
+                break
+            least, best = error, z
+        return least, best
+
+    return min(each(climb, ladders), key=lambda found: found[0])[1]
 
 
 def _best_of(points: Sequence[np.ndarray], problem: Measured, seen: Sequence[int]) -> np.ndarray:

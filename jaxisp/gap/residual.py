@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
-from jaxisp.gap.measured import Rows
+from jaxisp.gap.measured import Ladders, Rows
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.threads import each
 from jaxisp.gap.where import where
@@ -94,13 +94,13 @@ class Problem:
         moved[i] = value
         return moved
 
-    def starts(self, own: Sequence[int]) -> list[np.ndarray]:
+    def starts(self, own: Sequence[int]) -> list[Ladders]:
         """Where to begin fitting these coordinates: where the problem is, if there is nothing to choose."""
         return []
 
-    def noisier(self, z: np.ndarray, i: int) -> list[np.ndarray]:
+    def noisier(self, z: np.ndarray, i: int) -> Ladders:
         """The point alone: there is no noise to imitate anything with."""
-        return [z]
+        return [[z]]
 
     def choose(self, choice: Choice) -> None:
         """Put a choice into the base, and stay at the same point."""

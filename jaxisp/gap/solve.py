@@ -6,6 +6,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 _RIDGE = 1e-3
+_WORTHWHILE = 2e-3
+"""The share of the error that a step must gain for another."""
+_FOLLOWED = 6
+"""Steps at most on columns that are taken along before they are computed anew."""
+_ANEW = 0.01
+"""The share of the error that such steps must have gained for columns anew."""
 _MODEST = 0.01
 """By what share of the error a move by its own spread off what is usual (`Move`) must lower it to be worth
 it."""
@@ -73,20 +79,34 @@ def fit(
     for _ in range(steps):
         problem.columns.update(kept)
         problem.compute(which)
-        gram, slope = (part[scenes].sum(0) for part in problem.normal(which))
-        beliefs = [modest(problem, which, at.error)]
-        beliefs += [] if prior is None else [prior.normal(problem.z[which])]
-        for own_gram, own_slope in beliefs:
-            gram, slope = gram + len(scenes) * own_gram, slope + len(scenes) * own_slope
-        move = solve(gram, slope, problem.z[which], problem.model.ranges[:, which])
-        better = _line_search(problem, which, move, scenes, at, prior)
-        if better is None:
-            break
-        gained, at = at.total - better.total, better
-        problem.move_to(at.z)
-        if gained < 2e-3 * at.total:
+        start = at
+        for _ in range(_FOLLOWED if hasattr(problem, "follow") else 1):
+            better = _step(problem, which, scenes, at, prior)
+            if better is None:
+                break
+            gained, at = at.total - better.total, better
+            go = getattr(problem, "follow", problem.move_to)
+            go(at.z)
+            if gained < _WORTHWHILE * at.total:
+                break
+        if hasattr(problem, "follow"):
+            kept = {i: problem.columns[i] for i in kept}
+            problem.columns = {}
+        if start.total - at.total < (_ANEW if hasattr(problem, "follow") else _WORTHWHILE) * at.total:
             break
     return at.total
+
+
+def _step(
+    problem: Any, which: Sequence[int], scenes: Sequence[int], at: "_Point", prior: Belief | None
+) -> "_Point | None":
+    gram, slope = (part[scenes].sum(0) for part in problem.normal(which))
+    beliefs = [modest(problem, which, at.error)]
+    beliefs += [] if prior is None else [prior.normal(problem.z[which])]
+    for own_gram, own_slope in beliefs:
+        gram, slope = gram + len(scenes) * own_gram, slope + len(scenes) * own_slope
+    move = solve(gram, slope, problem.z[which], problem.model.ranges[:, which])
+    return _line_search(problem, which, move, scenes, at, prior)
 
 
 def modest(problem: Any, which: Sequence[int], error: float) -> tuple[np.ndarray, np.ndarray]:

@@ -10,12 +10,13 @@ import numpy as np
 
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import Trial, Whole, refit
+from jaxisp.gap.refit import Trial, Whole, nearest_form, refit
 from jaxisp.gap.which import LEADING, best, foretold, like_the_nearest, lookalikes, screen
 
 _REFITTED = 6  # of those that screening promises most of
 
 Tick = Callable[[int, int, str], Any]
+Forms = dict[str, np.ndarray]
 
 
 class Terms(NamedTuple):
@@ -51,11 +52,11 @@ def search(
         promised there.
     """
 
-    def refitted(tried: Sequence[str], step: int, least: float) -> list[Trial]:
+    def refitted(tried: Sequence[str], step: int, least: float, forms: Forms) -> list[Trial]:
         found = []
         for name in tried:
             tick(step, most, f"refitting {name}")
-            found.append(refit(problem, name, split, whole, least))
+            found.append(refit(problem, name, split, whole, least, form=forms.get(name)))
         return found
 
     most, seen, remaining = terms.most, terms.seen, 1.0
@@ -67,12 +68,14 @@ def search(
     for step in range(min(most, len(names))):
         tick(step, most, "screening effects")
         promises = screen(problem, left, split)
+        forms = _forms(problem, left, split)
+        promises |= {name: max(promises[name], _drop(problem, z)) for name, z in forms.items()}
         ranked = sorted(left, key=lambda name: -promises[name])
         tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
         tried += [n for n in left if n in seen and n not in tried]
         least = max(terms.least, terms.part * remaining)
-        trials = refitted(tried, step, least)
-        trials += refitted(like_the_nearest(trials, [n for n in left if n not in tried]), step, least)
+        trials = refitted(tried, step, least, forms)
+        trials += refitted(like_the_nearest(trials, [n for n in left if n not in tried]), step, least, forms)
         if step == 0:
             first_trials = {t.effect: t for t in trials}
             first_promises = promises | {name: foretold(problem, name, split) for name in first_trials}
@@ -95,6 +98,16 @@ def search(
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
     return causes, first_trials, first_promises
+
+
+def _forms(problem: Measured, names: Sequence[str], split: Split) -> Forms:
+    """Where effects of exact forms begin: no small step of theirs promises anything."""
+    found = {name: nearest_form(problem, name, split) for name in names}
+    return {name: z for name, z in found.items() if z is not None}
+
+
+def _drop(problem: Measured, z: np.ndarray) -> float:
+    return float((problem.errors(problem.z) - problem.errors(z)).mean())
 
 
 def _needed(

@@ -89,11 +89,41 @@ def test_threads_find_the_same_columns(problem, monkeypatch):
 def test_what_may_smooth_noise_is_tried_with_more_of_it(problem):
     z, model = problem.z, problem.model
     shot = noise_indices(model)[0]
-    usual, *more = problem.noisier(z, model.indices(["double_compression"])[0])[1:]
-    known = model.precisions > 0
-    assert known.any() and (usual[known] == model.usual[known]).all()
-    for place, with_more in ((z, more[: len(more) // 2]), (usual, more[len(more) // 2 :])):
-        assert np.all(np.diff([p[shot] for p in (place, *with_more)]) > 0)
+    own, other = problem.noisier(z, model.indices(["double_compression"])[0])
+    known, usual = model.precisions > 0, other[0]
+    assert known.any() and (usual[known] == model.usual[known]).all() and (own[0] == z).all()
+    for ladder in (own, other):
+        assert np.all(np.diff([p[shot] for p in ladder]) > 0)
+
+
+def test_columns_that_follow_say_what_the_way_did(problem):
+    """Broyden's condition: along the way they tell the change exactly; across it nothing has changed."""
+    problem.move_to(problem.z)
+    z, which = problem.z.copy(), problem.model.base_indices[:4]
+    problem.compute(which)
+    columns, before = problem.columns, problem._state()
+    step = np.array([2.0, -1.0, 0.5, 0.0]) * problem.model.steps[which]
+    there = z.copy()
+    there[which] += step
+    problem.follow(there)
+    turned = problem.columns
+    told = sum(turned[i] * d for i, d in zip(which, step))
+    np.testing.assert_allclose(told, problem._state() - before, rtol=1e-6, atol=1e-8)
+    across = {which[0]: 1.0, which[1]: 2.0}  # in units of their probes
+    sizes = problem.model.steps
+    was, now = (sum(c[i] * d * sizes[i] for i, d in across.items()) for c in (columns, turned))
+    np.testing.assert_allclose(now, was, rtol=1e-6, atol=1e-8)
+    problem.move_to(z)
+
+
+def test_where_it_has_looked_it_does_not_look_again(problem, monkeypatch):
+    z = distorted(problem.model, problem.z, 0.01)
+    seen = problem.errors(z)
+    monkeypatch.setattr(problem, "picture", None)
+    np.testing.assert_array_equal(problem.errors(z.copy()), seen)
+    with pytest.raises(TypeError):  # another model's point is another
+        monkeypatch.setattr(problem, "model", problem.model.with_shared(problem.model.shared))
+        problem.errors(z)
 
 
 def test_a_fit_minds_what_it_spoils(problem):
@@ -162,6 +192,7 @@ def test_a_stamp_is_a_matter_of_place_not_of_tails(problem, monkeypatch):
     place = np.zeros(problem.target.shape[1:3], bool)
     place[40:43, 20:50] = True
     stamped = copy.copy(problem)
+    stamped.set_unit()
     stamped.target = problem.target + 60 * place[..., None] * np.float32([1, -1, 1])
     stamped.real = stamped.measured(stamped.target)
     stamped.move_to(stamped.z)

@@ -31,20 +31,28 @@ def test_what_is_added_is_taken_from_read_noise(model):
     assert np.flatnonzero(placed(model, z, blur, 0.5)).tolist() == [blur]
 
 
+def flat(ladders):
+    return [point for ladder in ladders for point in ladder]
+
+
 def test_a_noise_starts_at_several_strengths_and_a_blur_where_it_is(model):
     z = np.zeros(len(model.coordinates))
     own = model.indices(["film_grain"])
-    found = starts(model, z, own)
+    (ladders,) = starts(model, z, own)
+    found = flat(ladders)
     strengths = {round(float(p[own[0]]), 6) for p in found}
     assert len(strengths) > 4 and min(strengths) == 0
     shot = noise_indices(model)[0]
     assert {round(float((SHOT + p[shot]) / SHOT), 2) for p in found} == {1.0, 0.75, 0.5}
     assert starts(model, z, model.indices(["optical_blur"])) == [] == starts(model, z, [])
     smoothing = model.indices(["chroma_subsampling"])
-    forms = starts(model, z, smoothing)
+    at_rest, *strong = starts(model, z, smoothing)
+    assert flat(at_rest) == [z] and len(strong) == 4
+    assert all(len({tuple(p[smoothing]) for p in flat(own)}) == 1 for own in strong)
+    forms = [z, *(p for own in strong for p in flat(own))]
     assert {tuple(p[smoothing]) for p in forms} >= {(0, 0, 0, 0), (1, 1, 0, 1)}
     assert max((SHOT + p[shot]) / SHOT for p in forms) > 10  # the base imitates it by less noise
-    some = starts(model, z, smoothing[1:])  # a simulator leaves the first open
+    some = [p for own in starts(model, z, smoothing[1:]) for p in flat(own)]  # the first is left open
     assert {tuple(p[smoothing]) for p in some} >= {(0, 0, 0, 0), (0, 1, 0, 1)}
     moved = [*own, *noise_indices(model)]
     for p in found:
@@ -58,14 +66,14 @@ def test_what_smooths_starts_from_usual_colours_too():
     model = camera.whole_model(mean, candidates("clean+noisy"))
     z = np.zeros(len(model.coordinates))
     quality, row = (model.indices([name])[0] for name in ("double_compression", "row_noise"))
-    found = [model.params(p)[MIXING].matrix for p in noisier(model, z, quality)]
+    found = [model.params(p)[MIXING].matrix for p in flat(noisier(model, z, quality))]
     usual = primaries(np.eye(3) + Camera.share * TYPICAL)[MIXING].matrix
     assert sum(np.allclose(m, usual, atol=1e-6) for m in found) == len(found) // 2
     assert (
         sum(np.allclose(m, mean.shared[MIXING].matrix, atol=1e-6) for m in found)
         == len(found) - len(found) // 2
     )
-    assert len(noisier(model, z, row)) == 1
+    assert flat(noisier(model, z, row)) == [z]
     assert [model.base[i].node for i in told_by_noise(model)] == 4 * ["balanced_noise"] + 6 * [MIXING]
 
 

@@ -25,7 +25,7 @@ def searched(monkeypatch, closes, terms, beside=("prnu",)):
     """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
     asked = []
 
-    def refit(problem, name, split, whole, least):
+    def refit(problem, name, split, whole, least, form=None):
         asked.append(least)
         share, half = closes[name]
         before = 11.0 - float(problem.z[0])
@@ -109,7 +109,9 @@ def needed(monkeypatch, closes, names, least=0.05, seen=()):
         closed = (before - after) / 10
         return Trial(name, z, before, after, closed, closed - 0.01, closed + 0.01, least)
 
-    monkeypatch.setattr(stepwise, "refit", lambda problem, name, *a, begin=None: fitted(problem, name, begin))
+    monkeypatch.setattr(
+        stepwise, "refit", lambda problem, name, *a, begin=None, form=None: fitted(problem, name, begin)
+    )
     start, trials = (problem.model, problem.z), []
     for name in names:
         trials.append(fitted(problem, name, None))
