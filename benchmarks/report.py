@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks import musts
 
-INTRODUCTION = """# Performance
+INTRODUCTION = """# Performance{where}
 
 Made by `make bench`; the page alone by `python -m benchmarks.peers --render`.
 
@@ -24,9 +24,10 @@ output.
 
 def write_performance(path: Path, peers: Path) -> None:
     """Write the page of `benchmarks.peers`, with what is known of the goals it misses."""
-    parts = [INTRODUCTION]
+    parts, where = [INTRODUCTION], ""
     if peers.exists():
         results = json.loads(peers.read_text())["families"]
+        where = f" on {first_machine(results)}"
         start = peers.with_name("start.json")
         began = json.loads(start.read_text()) if start.exists() else None
         parts += [tally(results), versions(results), asked_for(results, began), starts(began)]
@@ -34,8 +35,14 @@ def write_performance(path: Path, peers: Path) -> None:
     missed = peers.with_name("missed.md")
     if missed.exists():
         parts.insert(4, missed.read_text())
+    parts[0] = INTRODUCTION.format(where=where)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(part.rstrip() + "\n" for part in parts if part))
+
+
+def first_machine(results: dict[str, Any]) -> str:
+    machine = next(iter(results.values()))["machine"]
+    return f"{machine['processor']}, {machine['cores']} cores"
 
 
 def verdict(peer: dict[str, Any]) -> str:

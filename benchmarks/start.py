@@ -30,13 +30,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=sorted(CHILDREN), help="in this process, for a parent")
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument(
+        "--report", type=Path, default=PAGE, help="page to remake, from peers.json beside --out"
+    )
     arguments = parser.parse_args()
     if arguments.only:
         print(json.dumps(CHILDREN[arguments.only]()))
         return
     measure(arguments.out)
     print(arguments.out.read_text())
-    write_performance(PAGE, peers=arguments.out.with_name("peers.json"))
+    write_performance(arguments.report, peers=arguments.out.with_name("peers.json"))
 
 
 def measure(out: Path = RESULTS) -> None:
@@ -99,6 +102,10 @@ def develop() -> dict[str, Any]:
 
 
 def peak() -> int:
+    """MB that this process held at most. Linux's `ru_maxrss` would be its parent's, where that held more."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        return round(int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024)
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
