@@ -1,6 +1,7 @@
 """How far simulated pictures are from real ones on average, whatever noise either has."""
 
 import copy
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_start import noise_indices
 from jaxisp.gap.noisy_units import noise_only, tolerances, units
 from jaxisp.gap.prepare import candidates
+from jaxisp.gap.refit import _climbed, nearest_form
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names
 from tests.conftest import smooth_image
@@ -124,6 +126,49 @@ def test_where_it_has_looked_it_does_not_look_again(problem, monkeypatch):
     with pytest.raises(TypeError):  # another model's point is another
         monkeypatch.setattr(problem, "model", problem.model.with_shared(problem.model.shared))
         problem.errors(z)
+
+
+def test_a_form_that_is_exact_is_found_as_it_is():
+    """Repeated averages of two by two, which numbers that move freely from nothing end beside."""
+    camera = Camera(None)
+    effects = [e for e in candidates("clean+noisy") if e.name in ("chroma_subsampling", "prnu")]
+    model = camera.whole_model(camera.mean_model({}), effects)
+    rng = np.random.default_rng(5)
+    light = np.stack([[smooth_image((SIDE, SIDE), 3 * k + c) for c in range(3)] for k in range(COUNT)])
+    light += 0.2 * (rng.random((COUNT, 3, SIDE // 8, SIDE // 8)) > 0.5).repeat(8, 2).repeat(8, 3)
+    light = jnp.asarray(0.6 * np.moveaxis(light, 1, -1), jnp.float32)
+    z, own = np.zeros(len(model.coordinates)), model.indices(["chroma_subsampling"])
+    halved = z.copy()
+    halved[own] = 1, 1, 0, 1
+    pictures = model.render(halved, light, jax.random.split(jax.random.key(7), COUNT))
+    still = to_steps(model.render(quiet(model, z), light, jax.random.split(jax.random.key(0), COUNT)))
+    pairs = Pairs(("a", "b"), light, pictures, np.ones((COUNT, SIDE, SIDE), bool))
+    inner, split = SIDE - 2 * BORDER, Split((0,), (1,))
+    problem = StatisticsProblem(model, pairs, still, split, unknown_codes((inner, inner)))
+    problem.set_unit()
+    problem.compute(model.base_indices)
+    assert nearest_form(problem, "chroma_subsampling", split)[own].tolist() == [1, 1, 0, 1]
+    assert nearest_form(problem, "prnu", split) is None
+    problem.pairs = dataclasses.replace(pairs, pictures=model.render(z, light, problem.keys(1)))
+    problem.target = to_steps(problem.pairs.pictures[problem.inner])
+    problem.real = problem.measured(problem.target)
+    del problem._fitted
+    problem.move_to(z)
+    problem.compute(model.base_indices)
+    assert nearest_form(problem, "chroma_subsampling", split) is None
+
+
+def test_a_ladder_is_climbed_as_long_as_the_error_falls(problem, monkeypatch):
+    asked = []
+
+    def errors(z):
+        asked.append(float(z[0]))
+        return np.array([abs(z[0] - 2.0) + z[1]])
+
+    monkeypatch.setattr(problem, "errors", errors)
+    ladders = [[np.array([k, base]) for k in range(9)] for base in (0.5, 0.0)]
+    assert _climbed(ladders, problem, [0]).tolist() == [2.0, 0.0]
+    assert sorted(asked) == [0, 0, 1, 1, 2, 2, 3, 3]
 
 
 def test_a_fit_minds_what_it_spoils(problem):

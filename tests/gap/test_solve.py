@@ -51,3 +51,53 @@ def test_moves_cost_a_hundredth_of_the_error_for_each_spread_squared(spreads, us
         lambda z: line.errors(z)[0] * (1 + 0.01 * weights @ (z - usual) ** 2), np.zeros(3), tol=1e-12
     )
     np.testing.assert_allclose(line.z, best.x, atol=1e-3 * np.abs(best.x).max())
+
+
+class Bent(Line):
+    """A curved problem whose columns are secants, and may be taken along."""
+
+    asked = 0
+
+    def __init__(self):
+        super().__init__([np.inf] * 3)
+        self.fresh_columns()
+
+    def seen(self, z):
+        return DESIGN @ np.expm1(z)
+
+    def errors(self, z):
+        return np.array([((TARGET - self.seen(z)) ** 2).mean()])
+
+    def fresh_columns(self):
+        moved = self.z + 1e-4 * np.eye(3)
+        self.columns = {i: (self.seen(m) - self.seen(self.z)) / 1e-4 for i, m in enumerate(moved)}
+
+    def compute(self, which):
+        if set(which) - set(self.columns):
+            self.asked += 1
+            self.fresh_columns()
+
+    def normal(self, which):
+        stacked = np.stack([self.columns[i] for i in which], 1)
+        right = stacked.T @ (TARGET - self.seen(self.z))
+        return (stacked.T @ stacked)[None] / 40, right[None] / 40
+
+    def move_to(self, z):
+        self.z, self.columns = z, {}
+
+
+class Following(Bent):
+    def follow(self, z):
+        step, before, columns = z - self.z, self.seen(self.z), self.columns
+        self.move_to(z)
+        off = self.seen(z) - before - sum(columns[i] * step[i] for i in columns)
+        self.columns = {i: c + off * step[i] / (step @ step) for i, c in columns.items()}
+
+
+def test_columns_taken_along_lead_to_the_same_place_and_are_asked_for_less():
+    plain, following = Bent(), Following()
+    ends = [fit(problem, range(3), [0], steps=20, fresh=range(3)) for problem in (plain, following)]
+    best = np.linalg.lstsq(DESIGN, TARGET, rcond=None)[0]
+    assert (best > -1).all()  # the minimum is where expm1(z) is that
+    assert ends == pytest.approx([((TARGET - DESIGN @ best) ** 2).mean()] * 2, rel=0.01)
+    assert following.asked < plain.asked
