@@ -203,12 +203,14 @@ def nearest_form(problem: Measured, effect: str, split: Split) -> np.ndarray | N
     The base has imitated what a form does, so that the right one may look worse at first, and numbers that
     move freely from there end between two, which other scenes do not bear out.
     """
-    if effect not in EFFECTS or not EFFECTS[effect].exact:
+    own = problem.model.indices([effect]) if effect in EFFECTS and EFFECTS[effect].exact else []
+    forms = problem.starts(own) if own else []
+    if not forms:
         return None
-    part, seen, own = problem.take(split.fit), range(len(split.fit)), problem.model.indices([effect])
+    part, seen = problem.take(split.fit), range(len(split.fit))
     moving = [*problem.model.base_indices, *switched_on(problem)]
     columns = {i: column for i, column in part.columns.items() if i not in part.fresh}
-    points = [_climbed(ladders, part, seen) for ladders in part.starts(own)]
+    points = [_climbed(ladders, part, seen) for ladders in forms]
     errors = [float(part.errors(z).mean()) for z in points]
     ends = []
     for point in (z for z, error in zip(points, errors) if error <= _HOPELESS * min(errors)):
@@ -216,7 +218,7 @@ def nearest_form(problem: Measured, effect: str, split: Split) -> np.ndarray | N
         part.columns = dict(columns)
         part.compute(moving)
         ends.append((fit(part, moving, seen, steps=2, fresh=part.fresh), part.z))
-    found = min(ends, key=lambda end: end[0])[1] if ends else problem.z
+    found = min(ends, key=lambda end: end[0])[1]
     return found if (found[own] != problem.z[own]).any() else None
 
 

@@ -67,32 +67,35 @@ def fit(
         which: the coordinates that move.
         scenes: the pairs that are looked at.
         steps: at most so many.
-        fresh: whose columns are computed anew at each step; the others' are kept. All by default.
+        fresh: whose columns are computed anew at each step; the others' are kept. All by default. A problem
+            that can `follow` takes its columns along to a point: up to six steps are made on those, and all
+            count as one.
         prior: what is believed of these coordinates beforehand.
 
     Returns:
         the mean square residual over these scenes, and what the prior adds to it.
     """
     which, scenes = list(which), list(scenes)
+    follow = getattr(problem, "follow", None)
+    go, most, worth = (follow, _FOLLOWED, _ANEW) if follow else (problem.move_to, 1, _WORTHWHILE)
     at = _measured(problem, problem.z, which, scenes, prior)
     kept = {} if fresh is None else {i: problem.columns[i] for i in which if i not in set(fresh)}
     for _ in range(steps):
         problem.columns.update(kept)
         problem.compute(which)
         start = at
-        for _ in range(_FOLLOWED if hasattr(problem, "follow") else 1):
+        for _ in range(most):
             better = _step(problem, which, scenes, at, prior)
             if better is None:
                 break
             gained, at = at.total - better.total, better
-            go = getattr(problem, "follow", problem.move_to)
             go(at.z)
             if gained < _WORTHWHILE * at.total:
                 break
-        if hasattr(problem, "follow"):
+        if follow:
             kept = {i: problem.columns[i] for i in kept}
             problem.columns = {}
-        if start.total - at.total < (_ANEW if hasattr(problem, "follow") else _WORTHWHILE) * at.total:
+        if start.total - at.total < worth * at.total:
             break
     return at.total
 
