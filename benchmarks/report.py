@@ -24,10 +24,10 @@ output.
 
 def write_performance(path: Path, peers: Path) -> None:
     """Write the page of `benchmarks.peers`, with what is known of the goals it misses."""
-    parts, where = [INTRODUCTION], ""
+    parts = [INTRODUCTION.format(where="")]
     if peers.exists():
         results = json.loads(peers.read_text())["families"]
-        where = f" on {first_machine(results)}"
+        parts = [INTRODUCTION.format(where=f" on {first_machine(results)}")]
         start = peers.with_name("start.json")
         began = json.loads(start.read_text()) if start.exists() else None
         parts += [tally(results), versions(results), asked_for(results, began), starts(began)]
@@ -35,7 +35,6 @@ def write_performance(path: Path, peers: Path) -> None:
     missed = peers.with_name("missed.md")
     if missed.exists():
         parts.insert(4, missed.read_text())
-    parts[0] = INTRODUCTION.format(where=where)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(part.rstrip() + "\n" for part in parts if part))
 

@@ -57,10 +57,11 @@ def find_sensor(
             view = _View(_softened(pairs, sigma), chroma)
             own = _with_pattern(camera, params, view) if any_pattern else camera
             own = _with_demosaicking(own, params, view)
-            found.append((view.error(own, params), chroma, sigma, own))
-            if found[-1][0] > least:  # what is softer than the best is only farther
+            error = view.error(own, params)
+            found.append((error, chroma, sigma, own))
+            if error > least:  # taken to fall as far as the lens is soft, and to rise from there
                 break
-            least = found[-1][0]
+            least = error
     kept = found[0]
     for smooth in _CHROMA:  # each lens must be worth it beside those before
         best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])
