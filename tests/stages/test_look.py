@@ -1,11 +1,13 @@
-"""Local tone mapping against its formula in float64, with SciPy's Gaussian."""
+"""The tone curve against SciPy's splines, local tone mapping against its formula with SciPy's Gaussian."""
 
+import jax
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.pipeline import run, stage
-from jaxisp.stages.look import LocalToneMapping
+from jaxisp.stages.look import LocalToneMapping, SplineCurve
 from tests.conftest import smooth_image
 
 LUMA = np.array([0.299, 0.587, 0.114])
@@ -53,3 +55,34 @@ def test_an_edge_of_several_stops_has_less_of_a_halo_beside_an_edge_aware_surrou
 def test_it_is_the_identity_at_zero():
     image = np.random.default_rng(0).random((40, 44, 3)).astype(np.float32)
     np.testing.assert_array_equal(mapped(image, edges=1, sigma=5), image)
+
+
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_the_tone_curve_is_scipy_s_spline_and_so_is_its_gradient(count):
+    rng = np.random.default_rng(count)
+    offsets = rng.normal(0, 0.2, count).astype(np.float32)
+    centres = np.linspace(0, 1, count)
+    x = np.concatenate([centres, [-0.3, 1.4], rng.random(200)]).astype(np.float32)
+    # a basis spline a centre, and one beyond either end with the end's weight
+    knots = (np.arange(count + 6) - 3) / (count - 1)
+    spline = BSpline(knots, np.pad(offsets.astype(float), 1, mode="edge"), 3)
+    inside = np.clip(x.astype(float), 0, 1)
+    node, image = stage("spline_curve"), np.tile(x[None, :, None], (1, 1, 3))
+
+    def curved(offsets, image):
+        return run(node, {node.name: SplineCurve(offsets=offsets)}, image)
+
+    np.testing.assert_allclose(curved(offsets, image)[0, :, 0], x + spline(inside), atol=1e-6)
+    weights = rng.normal(size=image.shape).astype(np.float32)
+    gradient = jax.jit(jax.grad(lambda o, v: (curved(o, v) * weights).sum(), (0, 1)))
+    own, slope = gradient(offsets, image)
+    basis = BSpline(knots, np.eye(count + 2), 3)(inside)
+    basis = np.concatenate([basis[:, :2].sum(1)[:, None], basis[:, 2:-2], basis[:, -2:].sum(1)[:, None]], 1)
+    if count == 2:
+        basis = BSpline(knots, np.eye(4), 3)(inside) @ [[1, 0], [1, 0], [0, 1], [0, 1]]
+    np.testing.assert_allclose(own, weights.sum((0, 2)) @ basis, rtol=1e-4, atol=1e-4)
+    within = (x > 0) & (x < 1) & ~np.isin(x, centres.astype(np.float32))
+    wanted = 1 + spline.derivative()(inside)
+    np.testing.assert_allclose(
+        (slope / weights)[0, within, 0], wanted[within], rtol=1e-4, atol=1e-4 * (count - 1)
+    )
