@@ -1,14 +1,20 @@
-"""Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture."""
+"""Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture.
+
+By NumPy: they are worked out once a set of pairs, which takes less time than to compile them.
+"""
 
 import functools
 import itertools
+import math
 from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
+from jaxisp.gap.threads import each
 from jaxisp.windows import gaussian_blur
 
 CHANNELS = ("Y", "Cb", "Cr")
@@ -45,25 +51,27 @@ def tents(x: jax.Array, knots: tuple[float, ...]) -> list[jax.Array]:
     return found
 
 
-def regressors(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+def regressors(s: np.ndarray) -> dict[str, tuple[int, np.ndarray]]:
     """From the noise-free picture (h, w, 3) in steps: the channel a map is looked for in, and the map, by
     "axis name"."""
-    maps: dict[str, tuple[int, jax.Array]] = {}
-    smooth, wide = blurred(s, 0.8), blurred(s, 2.0)
+    maps: dict[str, tuple[int, np.ndarray]] = {}
+    smooth, wide = (_smoothed(s, sigma) for sigma in (0.8, 2.0))
     for c, name in enumerate(CHANNELS):
         maps |= {f"{key} {name} {what}": (c, m) for (key, what), m in _of_channel(s, smooth, wide, c).items()}
     return maps | _of_luma(s[..., 0], smooth[..., 0]) | _of_colour(s)
 
 
-def _of_channel(s: jax.Array, smooth: jax.Array, wide: jax.Array, c: int) -> dict[tuple[str, str], jax.Array]:
+def _of_channel(
+    s: np.ndarray, smooth: np.ndarray, wide: np.ndarray, c: int
+) -> dict[tuple[str, str], np.ndarray]:
     h, w = s.shape[:2]
     y = s[..., 0]
-    rows, columns = (jnp.arange(n) - (n - 1) / 2 for n in (h, w))
-    corner = jnp.hypot(rows[-1], columns[-1])
+    rows, columns = (np.arange(n, dtype=np.float32) - (n - 1) / 2 for n in (h, w))
+    corner = np.hypot(rows[-1], columns[-1])
     ry, rx = rows[:, None] / corner, columns[None, :] / corner
     r2 = ry**2 + rx**2
-    gy, gx = (jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (0, 1))
-    maps = {("intensity", str(k)): tent for k, tent in enumerate(tents(y, _LUMA))}
+    gy, gx = (np.gradient(smooth, axis=a) for a in (0, 1))
+    maps = {("intensity", str(k)): tent for k, tent in enumerate(_tents(y))}
     maps["radius", "gain"] = y * (r2 - r2.mean())
     maps["radius", "gain4"] = y * (r2**2 - 0.9 * r2)
     own = c if c == 0 else 0
@@ -74,78 +82,76 @@ def _of_channel(s: jax.Array, smooth: jax.Array, wide: jax.Array, c: int) -> dic
     maps["frequency", "coarse"] = smooth[..., c] - wide[..., c]
     if c:
         maps["frequency", "luma"] = y - smooth[..., 0]
-        maps["saturation", "gain"] = s[..., c] * jnp.hypot(s[..., 1], s[..., 2]) / 64
-    odd_row, odd_column = jnp.arange(h)[:, None] % 2, jnp.arange(w)[None, :] % 2
+        maps["saturation", "gain"] = s[..., c] * np.hypot(s[..., 1], s[..., 2]) / 64
+    odd_row, odd_column = np.arange(h)[:, None] % 2, np.arange(w)[None, :] % 2
     for name, pattern in (("rows", odd_row + 0 * odd_column), ("columns", odd_column + 0 * odd_row),
                           ("checker", (odd_row + odd_column) % 2)):  # fmt: skip
-        maps["cfa_phase", name] = y * (2.0 * pattern - 1)
+        maps["cfa_phase", name] = y * np.where(pattern, 1, -1).astype(np.float32)
     return maps
 
 
-def _of_luma(y: jax.Array, smooth: jax.Array) -> dict[str, tuple[int, jax.Array]]:
-    mean = gaussian_blur(y, 14.0, 42)
-    maps: dict[str, tuple[int, jax.Array]] = {}
+def _of_luma(y: np.ndarray, smooth: np.ndarray) -> dict[str, tuple[int, np.ndarray]]:
+    mean = _smoothed(y, 14.0)
+    maps: dict[str, tuple[int, np.ndarray]] = {}
     for name, (down, across) in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
-        moved = [jnp.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
+        moved = [np.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
         maps[f"orientation {name}"] = 0, smooth - 0.5 * (moved[0] + moved[1])
     # halos that are all dark, or all bright
-    maps["edge asymmetry"] = 0, jnp.abs(y - gaussian_blur(y, 1.5, 5))
+    maps["edge asymmetry"] = 0, np.abs(y - _smoothed(y, 1.5))
     maps["neighbourhood base"] = 0, y * (mean - mean.mean()) / 255
     maps["neighbourhood detail"] = 0, y - mean
     return maps
 
 
-def _of_colour(s: jax.Array) -> dict[str, tuple[int, jax.Array]]:
+def _of_colour(s: np.ndarray) -> dict[str, tuple[int, np.ndarray]]:
     cb, cr = s[..., 1], s[..., 2]
-    chroma, hue = jnp.hypot(cb, cr), jnp.arctan2(cr, cb + 1e-6)
-    maps: dict[str, tuple[int, jax.Array]] = {}
+    chroma, hue = np.hypot(cb, cr), np.arctan2(cr, cb + 1e-6)
+    maps: dict[str, tuple[int, np.ndarray]] = {}
     for k in range(6):
-        sector = jnp.maximum(jnp.cos(hue - k * jnp.pi / 3), 0) ** 4
+        sector = np.maximum(np.cos(hue - k * np.pi / 3), 0) ** 4
         for c, name in enumerate(CHANNELS):
             maps[f"hue {k} {name}"] = c, sector * chroma
     return maps
 
 
-def normalised_regressors(s: jax.Array, mask: jax.Array) -> list[tuple[Maps, ...]]:
+def _smoothed(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(h, w) or (h, w, C)."""
+    found: np.ndarray = gaussian_filter(image, sigma, mode="mirror", radius=math.ceil(3 * sigma), axes=(0, 1))
+    return found
+
+
+def _tents(luma: np.ndarray) -> list[np.ndarray]:
+    """As `tents` at the knots of `_LUMA`."""
+    return [np.interp(luma, _LUMA, tent).astype(np.float32) for tent in np.eye(len(_LUMA))]
+
+
+def normalised_regressors(s: Any, mask: Any) -> list[tuple[Maps, ...]]:
     """The maps of noise-free pictures (N, h, w, 3), for each picture and channel.
 
     Returns:
         (K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
         mean square], and (K, K) what turns these amplitudes into the coefficients of a regression.
     """
-
-    each = _all_normalised(s, mask)
-    return [jax.tree.map(lambda v, n=n: v[n], each) for n in range(len(s))]
+    return each(lambda pair: _of_picture(*pair), list(zip(np.asarray(s), np.asarray(mask))))
 
 
-@jax.jit
-def _all_normalised(s: jax.Array, mask: jax.Array) -> tuple[Maps, ...]:
-    def one(pair: tuple[jax.Array, jax.Array]) -> tuple[Maps, ...]:
-        found = sorted(regressors(pair[0]).items())
-        own = ([m for _, (c, m) in found if c == channel] for channel in range(3))
-        return tuple(_normalised(jnp.stack(maps), pair[1]) for maps in own)
-
-    found: tuple[Maps, ...] = jax.lax.map(one, (s, mask))
-    return found
+def _of_picture(s: np.ndarray, mask: np.ndarray) -> tuple[Maps, ...]:
+    found = sorted(regressors(s).items())
+    own = (np.stack([m for _, (c, m) in found if c == channel]) for channel in range(3))
+    return tuple(_normalised(maps, mask) for maps in own)
 
 
-def _normalised(maps: jax.Array, m: jax.Array) -> Maps:
-    maps = maps * m
-    norm = jnp.sqrt((maps**2).sum((1, 2)) * m.sum()) + 1e-6
-    maps = (maps / norm[:, None, None]).reshape(len(maps), -1)
-    gram = jnp.einsum("kp,lp->kl", maps, maps, precision="highest")
-    ridge = 1e-3 / (m.sum() + 1) * jnp.eye(len(maps))
-    return maps, jnp.linalg.inv(gram + ridge)
+def _normalised(maps: np.ndarray, m: np.ndarray) -> Maps:
+    flat = (maps * m).reshape(len(maps), -1)
+    gram = (flat @ flat.T).astype(np.float64)
+    norm = np.sqrt(np.diag(gram) * m.sum()) + 1e-6
+    ridge = 1e-3 / (m.sum() + 1) * np.eye(len(maps))
+    inverse = np.linalg.inv(gram / np.outer(norm, norm) + ridge)
+    return jnp.asarray(flat / norm[:, None].astype(np.float32)), jnp.asarray(inverse, jnp.float32)
 
 
 @functools.cache
 def mean_names() -> tuple[str, ...]:
     """ "mean axis what" of the maps, channel after channel, in the order of `normalised_regressors`."""
-    channels: dict[str, int] = {}
-
-    def noted(p: jax.Array) -> jax.Array:
-        channels.update({name: c for name, (c, _) in regressors(p).items()})
-        return p
-
-    jax.eval_shape(noted, jax.ShapeDtypeStruct((32, 32, 3), jnp.float32))
+    channels = {name: c for name, (c, _) in regressors(np.zeros((8, 8, 3), np.float32)).items()}
     return tuple(f"mean {name}" for c in range(3) for name in sorted(channels) if channels[name] == c)
