@@ -18,12 +18,13 @@ from jaxisp.gap.effects import EFFECTS, Effect, Move
 from jaxisp.gap.staged import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.power import Gamma
 
 KNOTS = 12
 HALVED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
 """Whether a file halves columns and rows of chroma."""
-EXPANSION = "expansion"
-"""The node that undoes what was done to the mosaic before it was demosaicked."""
+COMPANDING, EXPANSION = "companding", "expansion"
+"""What may be done to the mosaic before it is demosaicked, and the node that undoes it."""
 _FILE_STAGES = ("rounding", "jpeg", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
 
 
@@ -236,7 +237,7 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     else:
         scene = -1
     camera = next(i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out == CAMERA) + 1
-    if nodes[camera].name == EXPANSION:  # a part of demosaicking
+    if EXPANSION in nodes[camera].names():  # a part of demosaicking
         camera += 1
     encoded = next(i for i, n in enumerate(nodes) if n.domain_out == ENCODED and i >= camera)
     end = len(nodes)
@@ -255,12 +256,15 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
 
 
 def plain_camera(cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4") -> tuple[Chain, Params]:
-    """The base that is fitted where no camera is given: black level, white balance, demosaicking, one colour
-    matrix, sRGB, one tone curve, and the chroma sampling that the file states."""
+    """The base that is fitted where no camera is given: black level, white balance, demosaicking, of square
+    roots if that is switched on, one colour matrix, sRGB, one tone curve, and the chroma sampling that the
+    file states."""
     nodes = [
         Stage(stage("black_level").fn, "black_level_offset"),
         stage("mosaic_white_balance", cfa=cfa),
+        Gate(Stage(stage("gamma_compression").fn, COMPANDING)),
         stage("demosaicking", cfa=cfa, algorithm=algorithm),
+        Gate(Stage(stage("gamma_expansion").fn, EXPANSION)),
         Stage(stage("white_balance").fn, "later_balance"),  # some balance before demosaicking, some after
         stage("color_matrix"),
         stage("srgb_oetf"),
@@ -270,11 +274,17 @@ def plain_camera(cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4"
     if shares:
         nodes.append(stage("chroma_subsampling"))
     chain = Chain(tuple(nodes), "plain")
-    params = chain.init()
+    params = chain.init() | rooted(False)
     if shares:
         horizontal, vertical = (np.float32(s) for s in shares)
         params["chroma_subsampling"] = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
     return chain, params
+
+
+def rooted(on: bool) -> Params:
+    """Whether the plain camera demosaicks square roots, as some do."""
+    gates = {f"use_{name}": Switch(on=np.float32(on)) for name in (COMPANDING, EXPANSION)}
+    return gates | {name: Gamma(gamma=np.float32(2)) for name in (COMPANDING, EXPANSION)}
 
 
 def plain_freedom() -> list[Coordinate]:

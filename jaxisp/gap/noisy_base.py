@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.effects import Effect, Move
-from jaxisp.gap.model import EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
+from jaxisp.gap.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
 from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
@@ -25,7 +25,7 @@ _FILE = "file_chroma"
 MIXING = "mixing"
 """The node that takes what the sensor saw back to the clean picture's colours."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
-_COMPANDED = ("companding", EXPANSION)
+_COMPANDED = (COMPANDING, EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
 """Effects that act on what the sensor reads, shot noise and all, before white is balanced."""

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.noisy_base import Camera
+from jaxisp.gap.prepare import ROOTED
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.threads import each
 from jaxisp.pipeline import Params
@@ -16,7 +17,6 @@ from jaxisp.stages.choice import DEMOSAICKERS
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
 _SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
 _CHROMA = (0.0, 1.3)  # px
-_CLEARLY_ROOTED = 0.98  # of the error of the same algorithm on linear values
 _CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
 
 
@@ -112,7 +112,7 @@ def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
     camera = _nearest(choices, params, view)
     rooted = [dataclasses.replace(camera, gamma=2.0, late=late) for late in (False, True)]
     nearest = _nearest(rooted, params, view)
-    if view.error(nearest, params) <= _CLEARLY_ROOTED * view.error(camera, params):
+    if view.error(nearest, params) <= ROOTED * view.error(camera, params):
         camera = nearest
     if not camera.late:
         return camera

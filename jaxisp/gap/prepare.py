@@ -10,7 +10,7 @@ import numpy as np
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
-from jaxisp.gap.model import Choice, Model, build, plain_camera, plain_freedom
+from jaxisp.gap.model import Choice, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
@@ -20,6 +20,8 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 
 LARGEST = 512
+ROOTED = 0.98
+"""The share of the error of the best algorithm on linear values that the best on square roots may leave."""
 TILES = " ("  # after the name of a pair that is alone
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
@@ -111,7 +113,8 @@ def raw_model(
 def fit_base(
     model: Model, pairs: Pairs, fit_on: Sequence[int]
 ) -> tuple[Model, dict[str, float], list[Choice]]:
-    """The base fitted, with the demosaicker, before or after white balance, that explains the pairs best.
+    """The base fitted, with the demosaicker that explains the pairs best: before or after white balance, of
+    linear values or of their square roots.
 
     Returns:
         the model; what the base took up of each effect that is part of it, as a share of what was there
@@ -126,13 +129,18 @@ def fit_base(
     absorbed = {name: 1 - float(error / untouched) for name in ("tone_curve", "color_matrix")}
     absorbed |= {name: 0.0 for name in ("white_balance", "black_level_offset")}
     found = choices(model)
-    errors = []
-    fitted = part.model
-    for choice in found:
+    fitted, roots = part.model, [_on_roots(choice) for choice in found]
+
+    def error_of(choice: Choice) -> float:
         part.model = fitted.chosen(choice.take(fit_on))
-        errors.append(part.errors(part.z).mean())
-    absorbed["demosaicking"] = 1 - float(min(errors) / max(errors))
-    best = found[int(np.argmin(errors))]
+        return float(part.errors(part.z).mean())
+
+    errors, of_roots = ([error_of(choice) for choice in some] for some in (found, roots))
+    absorbed["demosaicking"] = 1 - min(errors) / max(errors)
+    best, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
+    found = [*found, root]
+    if min(of_roots) < ROOTED * min(errors):
+        best = root
     part.model = fitted
     part.choose(best.take(fit_on))
     fit(part, model.base_indices, seen, steps=4)
@@ -145,12 +153,16 @@ def choices(model: Model) -> list[Choice]:
     orders = [(first, _neutral(first)), (_neutral(first), first)]
     return [
         Choice(
-            {"demosaicking": Demosaicking(shares=shares)},
+            {"demosaicking": Demosaicking(shares=shares)} | rooted(False),
             {"mosaic_white_balance": early, "later_balance": late},
         )
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
         for early, late in orders
     ]
+
+
+def _on_roots(choice: Choice) -> Choice:
+    return dataclasses.replace(choice, shared=choice.shared | rooted(True))
 
 
 def _neutral(balance: WhiteBalance) -> WhiteBalance:

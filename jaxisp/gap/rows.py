@@ -10,6 +10,7 @@ import numpy as np
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial
+from jaxisp.pipeline import Gate
 
 
 def base_row(
@@ -22,7 +23,9 @@ def base_row(
                for f in dataclasses.fields(model.shared[name])}
         for name in sorted(names) if name in model.shared
     }  # fmt: skip
-    stages = [n.name for n in model.chain.nodes if not n.name.startswith("use_")]
+    gates = {n.name: n.node.name for n in model.chain.nodes if isinstance(n, Gate)}
+    on = [n.name for n in model.chain.nodes if n.name not in gates or float(model.shared[n.name].on) > 0.5]
+    stages = [gates.get(name, name) for name in on]
     row = {"stages": stages, "fitted": fitted, "absorbed": absorbed}
     return row if given is None else row | {"given": given}
 
