@@ -60,6 +60,7 @@ def search(
         return found
 
     most, seen, remaining = terms.most, terms.seen, 1.0
+    every = (*split.fit, *split.held_out)
     start = problem.model, problem.z
     left = list(names)
     causes: list[tuple[Trial, list[str]]] = []
@@ -69,7 +70,7 @@ def search(
         tick(step, most, "screening effects")
         promises = screen(problem, left, split)
         forms = _forms(problem, left, split)
-        promises |= {name: max(promises[name], _drop(problem, z)) for name, z in forms.items()}
+        promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
         ranked = sorted(left, key=lambda name: -promises[name])
         tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
         tried += [n for n in left if n in seen and n not in tried]
@@ -79,6 +80,7 @@ def search(
         if step == 0:
             first_trials = {t.effect: t for t in trials}
             first_promises = promises | {name: foretold(problem, name, split) for name in first_trials}
+            first_promises |= {name: _drop(problem, z, split.held_out) for name, z in forms.items()}
         winner = best(trials, seen)
         if winner is None or (not causes and winner.closed < terms.leading):
             break
@@ -106,8 +108,8 @@ def _forms(problem: Measured, names: Sequence[str], split: Split) -> Forms:
     return {name: z for name, z in found.items() if z is not None}
 
 
-def _drop(problem: Measured, z: np.ndarray) -> float:
-    return float((problem.errors(problem.z) - problem.errors(z)).mean())
+def _drop(problem: Measured, z: np.ndarray, which: Sequence[int]) -> float:
+    return float((problem.errors(problem.z) - problem.errors(z))[list(which)].mean())
 
 
 def _needed(
