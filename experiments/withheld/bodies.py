@@ -188,6 +188,22 @@ def quarter_sine(x: np.ndarray) -> np.ndarray:
     return srgb_encode(0.5 * x + 0.5 * np.sin(np.pi / 2 * x))
 
 
+def extended_reinhard(x: np.ndarray) -> np.ndarray:
+    """Reinhard's ratio with its white at 1, of light lifted by a half, before the display's curve."""
+    x = np.clip(x, 0, 1)
+    return srgb_encode(1.5 * x * (1 + x / 2) / (1 + 1.5 * x) / 0.9)
+
+
+def steep_in_the_middle(x: np.ndarray) -> np.ndarray:
+    """An arc tangent of the encoded values, steep in the middle of the tones."""
+    y = srgb_encode(np.clip(x, 0, 1)) - 0.45
+
+    def bent(v: np.ndarray | float) -> np.ndarray | float:
+        return np.arctan(1.4 * v)
+
+    return np.asarray((bent(y) - bent(-0.45)) / (bent(0.55) - bent(-0.45)))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -335,6 +351,21 @@ BODIES = {
             intermediate_bits=12, sign=-1, bright=Noise(19000.0, 3.8), dim=Noise(1600.0, 10.0),
             standing=("demosaicking",),
         ),
+        # by np.random.default_rng(2026112425)
+        Body(
+            "acacia", "GRBG", 14, 711.0, (2.31, 1.0, 2.07),
+            _matrix((1.37, -0.25, -0.46), (-0.12, 1.2, -0.4), (-0.21, -0.19, 1.38)),
+            extended_reinhard, "malvar", "bilinear", 93, encoder="opencv", order="balance-last",
+            exposure=0.83, spot=0.58, luma_share=0.02, intermediate_bits=14,
+            bright=Noise(18000.0, 2.5), dim=Noise(1600.0, 7.0),
+        ),
+        Body(
+            "banyan", "BGGR", 12, 106.0, (1.67, 1.0, 1.78),
+            _matrix((1.43, -0.06, -0.47), (-0.13, 1.69, -0.09), (-0.08, -0.45, 1.52)),
+            steep_in_the_middle, "variable-gradients", "bilinear", 96, sampling="4:2:0", encoder="opencv",
+            order="balance-last", border="own", exposure=0.83, spot=0.56, luma_share=0.03, sign=-1,
+            bright=Noise(19000.0, 2.5), dim=Noise(1400.0, 9.0), standing=("demosaicking",),
+        ),
     )
 }  # fmt: skip
 LATER = (
@@ -351,5 +382,7 @@ LATER = (
     "walnut",
     "yew",
     "zelkova",
+    "acacia",
+    "banyan",
 )
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
