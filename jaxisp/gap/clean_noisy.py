@@ -39,6 +39,7 @@ class StatisticsProblem:
     """
 
     references: Mapping[int, float] = MappingProxyType({})
+    rival: Choice | None = None
     difference: np.ndarray
     _scale: np.ndarray
 

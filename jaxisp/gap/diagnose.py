@@ -218,12 +218,11 @@ def raw_case(
     pairs = prepare.raw_pairs(loaded)
     effects = prepare.candidates(RAW_JPEG, exclude)
     tick(0, MOST_CAUSES, "fitting the base")
-    absorbed: dict[str, float]
     if camera is None:
-        model, absorbed, choices = prepare.raw_model(loaded, pairs, effects, split.fit)
+        base = prepare.raw_model(loaded, pairs, effects, split.fit)
     else:
-        model = prepare.camera_model(camera, loaded, effects)
-        absorbed, choices = {}, []
+        base = prepare.Base(prepare.camera_model(camera, loaded, effects))
+    model, absorbed = base.model, base.absorbed
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
     if loaded[0].jpeg is not None and "double_compression" in model.effects:
@@ -234,7 +233,7 @@ def raw_case(
             references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
         else:
             seen = ("double_compression",)
-    problem = Problem(model, pairs, choices)
+    problem = Problem(model, pairs, base.choices, base.rival)
     problem.weigh(problem.robust_weights())
     problem.references = references
     # a file that is no JPEG was compressed once, if at all; a JPEG's header states how it was last

@@ -25,6 +25,7 @@ class Measured(Protocol):
     z: np.ndarray
     columns: dict[int, np.ndarray]
     choices: Sequence[Choice]
+    rival: Choice | None  # beside which effects are screened too: the base may owe its own to one of them
     references: Mapping[int, float]  # where a coordinate does what the file does anyway
     fresh: Sequence[int]  # coordinates whose columns change with every step
 
@@ -119,7 +120,7 @@ class Case:
     problem: Any
     split: Split
     floors: np.ndarray
-    absorbed: dict[str, float]
+    absorbed: Mapping[str, float]
     offered: list[str]
     stored: np.ndarray | None = None
     given: str | None = None

@@ -1,7 +1,9 @@
 """From a data set on disk to pairs of one size, and the base that is put before them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -86,9 +88,27 @@ def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
     return [e for e in tried if not (e.random and kind == RAW_JPEG)]
 
 
+class Base(NamedTuple):
+    """What is put before RAW+JPEG pairs.
+
+    Attributes:
+        model: the base, with every effect in it, off.
+        absorbed: what the base took up of each effect that is part of it, as a share of what was there before
+            it was fitted.
+        choices: how it may demosaick besides.
+        rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
+            them.
+    """
+
+    model: Model
+    absorbed: Mapping[str, float] = MappingProxyType({})
+    choices: Sequence[Choice] = ()
+    rival: Choice | None = None
+
+
 def raw_model(
     loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
-) -> tuple[Model, dict[str, float], list[Choice]]:
+) -> Base:
     """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
     first = loaded[0]
     assert first.raw is not None
@@ -110,16 +130,9 @@ def raw_model(
     return fit_base(model, pairs, fit_on)
 
 
-def fit_base(
-    model: Model, pairs: Pairs, fit_on: Sequence[int]
-) -> tuple[Model, dict[str, float], list[Choice]]:
+def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     """The base fitted, with the demosaicker that explains the pairs best: before or after white balance, of
-    linear values or of their square roots.
-
-    Returns:
-        the model; what the base took up of each effect that is part of it, as a share of what was there
-        before it was fitted; and the choices there were.
-    """
+    linear values or of their square roots."""
     whole = Problem(model, pairs)
     part, seen = whole.take(fit_on), range(len(fit_on))
     untouched = part.errors(part.z).mean()
@@ -137,14 +150,13 @@ def fit_base(
 
     errors, of_roots = ([error_of(choice) for choice in some] for some in (found, roots))
     absorbed["demosaicking"] = 1 - min(errors) / max(errors)
-    best, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
-    found = [*found, root]
-    if min(of_roots) < ROOTED * min(errors):
-        best = root
+    linear, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
+    rooted_best = min(of_roots) < ROOTED * min(errors)
+    best, rival = (root, linear) if rooted_best else (linear, None)
     part.model = fitted
     part.choose(best.take(fit_on))
     fit(part, model.base_indices, seen, steps=4)
-    return model.chosen(best).moved(part.z), absorbed, found
+    return Base(model.chosen(best).moved(part.z), absorbed, [*found, root], rival)
 
 
 def choices(model: Model) -> list[Choice]:

@@ -61,12 +61,16 @@ class Problem:
         residual: (N, P) target less picture there, masked pixels 0.
         weight: (N, P) 1 where a pixel counts.
         choices: what the base may be besides, that no number says.
+        rival: that of the choices beside which effects are screened too, if there is one: what the base is
+            explained by may be what an effect does.
         references: the values of coordinates at which an effect does what the file does anyway, so that
             its gain is counted from there.
     """
 
-    def __init__(self, model: Model, pairs: Pairs, choices: Sequence[Choice] = ()) -> None:
-        self.model, self.pairs, self.choices = model, pairs, tuple(choices)
+    def __init__(
+        self, model: Model, pairs: Pairs, choices: Sequence[Choice] = (), rival: Choice | None = None
+    ) -> None:
+        self.model, self.pairs, self.choices, self.rival = model, pairs, tuple(choices), rival
         self.references: dict[int, float] = {}
         inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.inner = inner
@@ -80,6 +84,7 @@ class Problem:
         part = copy.copy(self)
         part.model, part.pairs = self.model.take(which), self.pairs.take(which)
         part.choices = tuple(choice.take(which) for choice in self.choices)
+        part.rival = None if self.rival is None else self.rival.take(which)
         for name in ("target", "counts", "weight", "current", "residual"):
             setattr(part, name, getattr(self, name)[index])
         part.shape = part.target.shape

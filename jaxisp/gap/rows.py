@@ -1,7 +1,7 @@
 """The rows of report.json: the base, a cause, the ranking."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import erfc, sqrt
 from typing import Any
 
@@ -14,7 +14,7 @@ from jaxisp.pipeline import Gate
 
 
 def base_row(
-    model: Model, absorbed: dict[str, float], given: str | None = None, open_nodes: Iterable[str] = ()
+    model: Model, absorbed: Mapping[str, float], given: str | None = None, open_nodes: Iterable[str] = ()
 ) -> dict[str, Any]:
     """The base: its stages, its fitted numbers, what it absorbed, and what it is where it was given."""
     names = {c.node for c in model.base} | {"demosaicking", *open_nodes}
@@ -26,7 +26,7 @@ def base_row(
     gates = {n.name: n.node.name for n in model.chain.nodes if isinstance(n, Gate)}
     on = [n.name for n in model.chain.nodes if n.name not in gates or float(model.shared[n.name].on) > 0.5]
     stages = [gates.get(name, name) for name in on]
-    row = {"stages": stages, "fitted": fitted, "absorbed": absorbed}
+    row = {"stages": stages, "fitted": fitted, "absorbed": dict(absorbed)}
     return row if given is None else row | {"given": given}
 
 
@@ -77,7 +77,7 @@ def ranking_rows(
     causes: Sequence[tuple[Trial, list[str]]],
     trials: dict[str, Trial],
     promises: dict[str, float],
-    absorbed: dict[str, float],
+    absorbed: Mapping[str, float],
     scale: float,
 ) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight

@@ -3,6 +3,7 @@
 Works on anything that has the columns and errors of a `Problem`, residuals or statistics alike.
 """
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial, Whole, nearest_form, refit
+from jaxisp.gap.solve import fit
 from jaxisp.gap.which import LEADING, best, foretold, like_the_nearest, lookalikes, screen
 
 _REFITTED = 6  # of those that screening promises most of
@@ -66,9 +68,10 @@ def search(
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}
     first_promises: dict[str, float] = {} if most and names else screen(problem, left, split)
+    views = _views(problem, split) if names else []
     for step in range(min(most, len(names))):
         tick(step, most, "screening effects")
-        promises = screen(problem, left, split)
+        promises = _most(views, lambda view: screen(view, left, split), every)
         forms = _forms(problem, left, split)
         promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
         ranked = sorted(left, key=lambda name: -promises[name])
@@ -79,8 +82,8 @@ def search(
         trials += refitted(like_the_nearest(trials, [n for n in left if n not in tried]), step, least, forms)
         if step == 0:
             first_trials = {t.effect: t for t in trials}
-            first_promises = promises | {name: foretold(problem, name, split) for name in first_trials}
-            first_promises |= {name: _drop(problem, z, split.held_out) for name, z in forms.items()}
+            first_promises = promises | _predicted(views, list(first_trials), forms, split)
+        views = views[:1]
         winner = best(trials, seen)
         if winner is None or (not causes and winner.closed < terms.leading):
             break
@@ -100,6 +103,42 @@ def search(
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
     return causes, first_trials, first_promises
+
+
+class _View(NamedTuple):
+    """Where effects are looked at: a problem, and by how much more (N,) it leaves than the one at hand, None
+    for that itself."""
+
+    problem: Measured
+    more: np.ndarray | None = None
+
+
+def _views(problem: Measured, split: Split) -> list[_View]:
+    """The problem; and if its base has a rival that with the base fitted beside it."""
+    if problem.rival is None:
+        return [_View(problem)]
+    other = copy.copy(problem)
+    other.choose(problem.rival)
+    part = other.take(split.fit)
+    fit(part, part.model.base_indices, range(len(split.fit)), steps=2)
+    other.move_to(part.z)
+    return [_View(problem), _View(other, other.errors(other.z) - problem.errors(problem.z))]
+
+
+def _most(
+    views: Sequence[_View], look: Callable[[Measured], dict[str, float]], which: Sequence[int]
+) -> dict[str, float]:
+    """What is promised of each effect where most is, of the error of the problem at hand."""
+    less = [0.0 if view.more is None else float(view.more[list(which)].mean()) for view in views]
+    found = [look(view.problem) for view in views]
+    return {name: max(own[name] - more for own, more in zip(found, less)) for name in found[0]}
+
+
+def _predicted(views: Sequence[_View], names: Sequence[str], forms: Forms, split: Split) -> dict[str, float]:
+    """What is said beforehand of these effects' drop on the held-out pairs: where a form ends, or a step."""
+    held = split.held_out
+    steps = _most(views, lambda view: {name: foretold(view, name, split) for name in names}, held)
+    return steps | {name: _drop(views[0].problem, z, held) for name, z in forms.items()}
 
 
 def _forms(problem: Measured, names: Sequence[str], split: Split) -> Forms:

@@ -27,7 +27,7 @@ def statistics(distance=0.0, noise=1.0, **squares):
         (RAW, 11.0, 4.2, True), (RAW, 11.0, 4.4, False), (RAW, 3.0, 1.4, True), (RAW, 2.0, 1.6, False),
         (CLEAN, 2.0, 1.25, True), (CLEAN, 3.0, 1.35, False),
         (CLEAN, 8.0, 1.9, True), (CLEAN, 6.5, 1.9, False),
-        (CLEAN, 30.0, 2.4, True), (CLEAN, 30.0, 2.6, False),
+        (CLEAN, 30.0, 3.0, True), (CLEAN, 30.0, 3.1, False),
     ],
 )  # fmt: skip
 def test_causes_close_most_of_the_gap_or_leave_little(kind, gap, left, said):

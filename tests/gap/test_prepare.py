@@ -29,9 +29,13 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     )
     pictures = np.round(255 * camera.render(np.zeros(len(model.coordinates)), light)) / 255
     pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
-    found, absorbed, offered = fit_base(model, pairs, [0, 2])
+    base = fit_base(model, pairs, [0, 2])
+    found = base.model
     assert float(found.shared["use_companding"].on) == float(found.shared["use_expansion"].on) == roots
     assert np.argmax(found.shared["demosaicking"].shares) == which // 2
     np.testing.assert_array_equal(found.per_pair["mosaic_white_balance"].gains, 1)
-    assert ("companding" in base_row(found, absorbed)["stages"]) == roots
-    assert len(offered) == 2 * len(DEMOSAICKERS) + 1, "all of linear values, and the best of square roots"
+    assert ("companding" in base_row(found, base.absorbed)["stages"]) == roots
+    assert (base.rival is not None) == roots, "what is explained by roots may be an effect"
+    assert len(base.choices) == 2 * len(DEMOSAICKERS) + 1, (
+        "all of linear values, and the best of square roots"
+    )

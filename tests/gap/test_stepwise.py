@@ -12,7 +12,7 @@ from jaxisp.gap.stepwise import Terms, search
 
 
 class Problem:
-    model = None
+    model = rival = None
 
     def __init__(self):
         self.z = np.zeros(1)
@@ -75,6 +75,46 @@ def test_beside_grain_less_can_lead(monkeypatch):
     closes = {"green_imbalance": (0.12, 0.04)}
     assert searched(monkeypatch, closes, Terms(0.05, 3))[0] == []
     assert searched(monkeypatch, closes, Terms(0.05, 3, leading=0.1))[0] == ["green_imbalance"]
+
+
+class Imitating(Problem):
+    """A base that leaves 11, and 13 beside its rival."""
+
+    rival = "linear values"
+    model = types.SimpleNamespace(base_indices=[])
+
+    def __init__(self):
+        super().__init__()
+        self.has = "square roots"
+
+    def choose(self, choice):
+        self.has = choice
+
+    def take(self, which):
+        return self
+
+    def errors(self, z):
+        return np.full(2, 13.0 if self.has == self.rival else 11.0)
+
+
+def test_what_the_base_imitates_is_looked_for_beside_its_rival(monkeypatch):
+    """Beside the rival a chroma filter takes away 9 of 13, which is 7 of 11; where roots imitate it nothing."""
+    names = ("chroma_denoising", "vignetting")
+    drops = {"square roots": dict(zip(names, (-20.0, 0.5))), "linear values": dict(zip(names, (9.0, 0.4)))}
+
+    def refit(problem, name, split, whole, least, form=None):
+        closed = {"chroma_denoising": 0.7, "vignetting": 0.05}[name]
+        return Trial(name, problem.z, 11.0, 11.0 - 10 * closed, closed, closed, closed, least)
+
+    monkeypatch.setattr(stepwise, "screen", lambda problem, names, split: drops[problem.has])
+    monkeypatch.setattr(stepwise, "foretold", lambda problem, name, split: drops[problem.has][name] - 0.25)
+    monkeypatch.setattr(stepwise, "refit", refit)
+    monkeypatch.setattr(stepwise, "fit", lambda *arguments, **options: None)
+    problem, whole = Imitating(), Whole(10.0, np.ones((1, 1)))
+    terms = Terms(0.05, 3, enough=1.0)
+    causes, _, promised = search(problem, names, Split((0,), (1,)), whole, terms, lambda *tick: None)
+    assert [trial.effect for trial, _ in causes] == ["chroma_denoising"] and problem.has == "square roots"
+    assert promised == pytest.approx({"chroma_denoising": 6.75, "vignetting": 0.25})
 
 
 NAMES = ("chroma_denoising", "chroma_subsampling", "vignetting")
