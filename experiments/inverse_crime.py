@@ -44,7 +44,8 @@ def base_before(folder: Path) -> Problem:
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
     pairs = prepare.raw_pairs(loaded)
     effects = prepare.candidates(RAW_JPEG)
-    return Problem(prepare.raw_model(loaded, pairs, effects, range(0, len(loaded), 2))[0], pairs)
+    base = prepare.raw_model(loaded, pairs, effects, range(0, len(loaded), 2))
+    return Problem(base.model, pairs)
 
 
 def direction(problem: Problem, name: str) -> np.ndarray:

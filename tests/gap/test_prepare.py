@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap.model import build, plain_camera, plain_freedom, rooted
+from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.prepare import choices, fit_base
 from jaxisp.gap.residual import Pairs
 from jaxisp.gap.rows import base_row
@@ -24,9 +24,8 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     chain, params = plain_camera("GRBG")
     model = build(chain, params, balance, plain_freedom(), [])
     which = 2 * list(DEMOSAICKERS).index("hamilton-adams") + 1  # white balanced last
-    camera = model.chosen(choices(model)[which]).with_shared(
-        model.shared | choices(model)[which].shared | rooted(roots)
-    )
+    truth = choices(model)[which]
+    camera = model.chosen(Choice(truth.shared | rooted(roots), truth.per_pair))
     pictures = np.round(255 * camera.render(np.zeros(len(model.coordinates)), light)) / 255
     pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
     base = fit_base(model, pairs, [0, 2])

@@ -98,7 +98,7 @@ class Imitating(Problem):
 
 
 def test_what_the_base_imitates_is_looked_for_beside_its_rival(monkeypatch):
-    """Beside the rival a chroma filter takes away 9 of 13, which is 7 of 11; where roots imitate it nothing."""
+    """Beside it a chroma filter takes away 9 of 13, which is 7 of 11; where roots imitate it nothing."""
     names = ("chroma_denoising", "vignetting")
     drops = {"square roots": dict(zip(names, (-20.0, 0.5))), "linear values": dict(zip(names, (9.0, 0.4)))}
 
