@@ -23,6 +23,7 @@ from .bodies import BODIES, LATER
 from .effects import DEVELOP, KINDS, LEVELS, NULLS, OUTSIDE, PAIRED, PAIRS, SEALED, VOCABULARY, shows_in
 from .scenes import SETS
 
+_CASES = 12  # of one process: programs for every camera that it has seen come to gigabytes
 Report = dict[str, Any]
 Diagnose = Callable[..., Report]
 SCENES = {
@@ -180,9 +181,11 @@ def _examined(left: Sequence[Case], diagnose: Diagnose, jobs: int, options: dict
     if jobs == 1:
         yield from (examine(case, diagnose, **options) for case in left)
         return
-    with ProcessPoolExecutor(jobs) as pool:
-        futures = [pool.submit(examine, case, diagnose, **options) for case in left]
-        yield from (future.result() for future in futures)
+    for start in range(0, len(left), _CASES * jobs):
+        with ProcessPoolExecutor(jobs) as pool:
+            some = left[start : start + _CASES * jobs]
+            futures = [pool.submit(examine, case, diagnose, **options) for case in some]
+            yield from (future.result() for future in futures)
 
 
 def _plain(record: dict[str, Any]) -> Case:
