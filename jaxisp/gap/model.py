@@ -25,6 +25,8 @@ HALVED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
 """Whether a file halves columns and rows of chroma."""
 COMPANDING, EXPANSION = "companding", "expansion"
 """What may be done to the mosaic before it is demosaicked, and the node that undoes it."""
+ROOTED = 0.98
+"""The share of its error on linear values that demosaicking must leave on square roots to be taken for it."""
 _FILE_STAGES = ("rounding", "jpeg", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
 
 

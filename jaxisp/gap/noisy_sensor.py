@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from jaxisp.gap.model import ROOTED
 from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.prepare import ROOTED
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.threads import each
 from jaxisp.pipeline import Params

@@ -12,7 +12,7 @@ import numpy as np
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
-from jaxisp.gap.model import Choice, Model, build, plain_camera, plain_freedom, rooted
+from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
@@ -22,8 +22,6 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 
 LARGEST = 512
-ROOTED = 0.98
-"""The share of the error of the best algorithm on linear values that the best on square roots may leave."""
 TILES = " ("  # after the name of a pair that is alone
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
@@ -110,15 +108,14 @@ def raw_model(
     loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
 ) -> Base:
     """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
-    first = loaded[0]
-    assert first.raw is not None
-    if any(p.raw is None or p.raw.cfa != first.raw.cfa for p in loaded):
+    raws = [p.raw for p in loaded if p.raw is not None]
+    cfa, jpeg = raws[0].cfa, loaded[0].jpeg
+    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
         raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
-    cfa = first.raw.cfa
-    sampling = first.jpeg.subsampling if first.jpeg else "4:4:4"
-    gains = np.stack([np.ones(3) if p.raw.white_balanced else p.raw.white_balance for p in loaded])  # type: ignore[union-attr]
+    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
     matrix = _start(pairs, cfa, gains)
-    if np.allclose(gains, 1) and not first.raw.white_balanced:  # the file is silent: the matrix's own white
+    if np.allclose(gains, 1) and not raws[0].white_balanced:  # the file is silent: the matrix's own white
         white = np.linalg.solve(matrix, np.ones(3))
         gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(loaded), 0)
         matrix = _start(pairs, cfa, gains)
