@@ -51,7 +51,7 @@ class Pictures:
     """Pictures in a row with captions, as a notebook shows them.
 
     Args:
-        pictures: (caption, picture): (H, W, 3) or (H, W), encoded, in [0, 1].
+        pictures: (caption, picture): (H, W, 3) or (H, W), encoded, in [0, 1] or in whole levels (uint8).
         magnify: how often each pixel is repeated; nothing is smoothed.
     """
 
@@ -82,12 +82,12 @@ def in_domain(picture: Any, domain: Domain, cfa: str = "RGGB") -> jax.Array:
     """A photograph as a stage of that domain wants it.
 
     Args:
-        picture: (H, W, 3) encoded sRGB in [0, 1].
+        picture: (H, W, 3) encoded sRGB, in [0, 1] or in whole levels (uint8).
         domain: the stage's. Where anything will do, noise (any image) gets linear light, and what takes
             any three channels the picture as it is.
         cfa: of a mosaic.
     """
-    encoded = jnp.asarray(picture, jnp.float32)
+    encoded = _shares(jnp.asarray(picture))
     light = srgb_eotf(encoded)
     if domain == MOSAIC:
         return mosaic(light, cfa=cfa)
@@ -257,8 +257,14 @@ def _slider(spec: Spec, value: float, label: str) -> Any:
     return widgets.FloatSlider(value, min=low, max=high, step=step, **shared)
 
 
+def _shares(picture: Any) -> Any:
+    """A picture in float32; whole levels become shares of the largest."""
+    largest = np.iinfo(picture.dtype).max if np.issubdtype(picture.dtype, np.unsignedinteger) else 1
+    return picture.astype(np.float32) / largest
+
+
 def _png(picture: np.ndarray) -> bytes:
-    levels = np.round(255 * np.clip(picture.astype(np.float32), 0, 1)).astype(np.uint8)
+    levels = np.round(255 * np.clip(_shares(picture), 0, 1)).astype(np.uint8)
     buffer = io.BytesIO()
     Image.fromarray(levels).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()

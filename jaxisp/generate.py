@@ -17,10 +17,12 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import find_images, write_text
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
-from jaxisp.recipe import Recipe
+from jaxisp.recipe import Recipe, check_photographs, check_traces
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
+WAITING_PIXELS = 4 * BATCH_PIXELS
+"""Pixels that wait for others of their size."""
 
 Tick = Callable[[int, int], Any]
 
@@ -87,9 +89,8 @@ class Work:
     paths: list[Path] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
-        chain = self.recipe.chain
-        if chain.domain_in.channels != 3 or chain.domain_out.channels != 3:
-            raise InputError(f"recipe {self.recipe.name!r} takes {chain.domain_in.name}, not photographs")
+        check_photographs(self.recipe)
+        check_traces(self.recipe)
         object.__setattr__(self, "paths", find_images(self.inputs))
         if not 0 <= self.start <= (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
@@ -146,14 +147,19 @@ class Work:
     def _batches(
         self, which: range, outcome: Outcome, done: Callable[[Sample], bool]
     ) -> Iterator[list[tuple[Sample, np.ndarray]]]:
-        """Samples of one size together, so that a size is compiled once; the last batch may be smaller."""
+        """Samples of one size together, so that a size is compiled once; the last batch may be smaller, and
+        those of many sizes, which do not wait for more of each."""
         waiting: dict[tuple[int, ...], list[tuple[Sample, np.ndarray]]] = defaultdict(list)
-        first = self._first_of_stem()
+        namesakes = self._namesakes()
+
+        def pixels(shape: tuple[int, ...]) -> int:
+            return shape[0] * shape[1] * len(waiting[shape])
+
         for i in range(which.start // self.count, -(-which.stop // self.count)):
             own = range(max(which.start, i * self.count), min(which.stop, (i + 1) * self.count))
             samples = [sample for sample in map(self.sample, own) if not done(sample)]
             outcome.kept += len(own) - len(samples)
-            image = self._read(self.paths[i], first, outcome) if samples else None
+            image = self._read(self.paths[i], namesakes, outcome) if samples else None
             if image is None:
                 continue
             size = max(1, BATCH_PIXELS // (image.shape[0] * image.shape[1]))
@@ -161,19 +167,34 @@ class Work:
                 waiting[image.shape].append((sample, image))
                 if len(waiting[image.shape]) == size:
                     yield waiting.pop(image.shape)
+            if sum(map(pixels, waiting)) > WAITING_PIXELS:
+                yield waiting.pop(max(waiting, key=pixels))
         yield from waiting.values()
 
-    def _first_of_stem(self) -> dict[str, Path]:
-        return {path.stem: path for path in reversed(self.paths)}
+    def _namesakes(self) -> dict[str, list[Path]]:
+        found: dict[str, list[Path]] = defaultdict(list)
+        for path in self.paths:
+            found[path.stem].append(path)
+        return found
 
-    def _read(self, path: Path, first: dict[str, Path], outcome: Outcome) -> np.ndarray | None:
+    def _read(self, path: Path, namesakes: dict[str, list[Path]], outcome: Outcome) -> np.ndarray | None:
         try:
-            if first[path.stem] != path:
-                raise InputError(f"{path}: {first[path.stem]} has the same name, which outputs would share")
+            own = namesakes[path.stem]
+            if other := next(filter(_is_sound, own[: own.index(path)]), None):
+                raise InputError(f"{path}: {other} has the same name, which outputs would share")
             return read_image(path)
         except InputError as error:
             outcome.failed.append((str(path), str(error)))
             return None
+
+
+def _is_sound(path: Path) -> bool:
+    """Whether a picture can be read; all of it is, as much that is wrong shows in no other way."""
+    try:
+        read_image(path)
+    except InputError:
+        return False
+    return True
 
 
 def degrade_files(

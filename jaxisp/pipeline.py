@@ -275,6 +275,8 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     Where switches or orders are per image, a CPU takes the images one by one: as a batch, each would
     run every branch.
     """
+    if 0 in images.shape[1:]:
+        raise ValueError(f"{node.name}: pictures without pixels, of shape {images.shape[1:]}")
     axes = batch_axes(params)
 
     def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
@@ -295,7 +297,7 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     switched = any(
         isinstance(own, Switch | Order) and 0 in jax.tree.leaves(axes[name]) for name, own in params.items()
     )
-    if not switched:
+    if not switched or not len(images):
         size = group_size(len(images), images.shape[1] * images.shape[2], sum(1 for _ in node.stages()))
         if size < len(images) and jax.default_backend() == "cpu":
             return in_groups(together, size, axes, params, images, keys)

@@ -1,4 +1,8 @@
-"""Priors: a params-shaped tree whose leaves are distributions, or numbers where nothing is drawn."""
+"""Priors: a params-shaped tree whose leaves are distributions, or numbers where nothing is drawn.
+
+A distribution that is none (a std of 0, low above high) raises InputError when it is made. Draws are float32,
+and the same whatever `jax_enable_x64` says.
+"""
 
 import zlib
 from dataclasses import dataclass
@@ -19,8 +23,11 @@ class Uniform:
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        _require(self, self.low <= self.high, "low is above high")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.uniform(key, shape, minval=self.low, maxval=self.high)
+        return jax.random.uniform(key, shape, jnp.float32, self.low, self.high)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -34,8 +41,12 @@ class LogUniform:
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        _require(self, self.low > 0, "low must be positive")
+        _require(self, self.low <= self.high, "low is above high")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        drawn = jax.random.uniform(key, shape, minval=np.log(self.low), maxval=np.log(self.high))
+        drawn = jax.random.uniform(key, shape, jnp.float32, np.log(self.low), np.log(self.high))
         return jnp.clip(jnp.exp(drawn), self.low, self.high)
 
     @property
@@ -45,18 +56,30 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class PowerUniform:
-    """u**exponent with u uniform on [low, high]: a variance (exponent 2) whose std is uniform."""
+    """u**exponent with u uniform on [low, high]: a variance (exponent 2) whose std is uniform.
+
+    The exponent is positive; where low is negative, a whole number.
+    """
 
     low: float
     high: float
     exponent: float
 
+    def __post_init__(self) -> None:
+        _require(self, self.low <= self.high, "low is above high")
+        _require(self, self.exponent > 0, "the exponent must be positive")
+        whole = self.low >= 0 or float(self.exponent).is_integer()
+        _require(self, whole, "a negative low needs a whole exponent")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.uniform(key, shape, minval=self.low, maxval=self.high) ** self.exponent
+        return jax.random.uniform(key, shape, jnp.float32, self.low, self.high) ** self.exponent
 
     @property
     def support(self) -> tuple[float, float]:
-        return self.low**self.exponent, self.high**self.exponent
+        nearest = min(max(self.low, 0.0), self.high)  # to 0, where an even power turns
+        with np.errstate(over="ignore"):
+            powers = np.power([self.low, nearest, self.high], float(self.exponent))
+        return float(powers.min()), float(powers.max())
 
 
 @dataclass(frozen=True)
@@ -68,9 +91,13 @@ class Normal:
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        _require(self, self.std > 0, "std must be positive")
+        _require(self, self.low <= self.high, "low is above high")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         a, b = (self.low - self.mean) / self.std, (self.high - self.mean) / self.std
-        return self.mean + self.std * jax.random.truncated_normal(key, a, b, shape)
+        return self.mean + self.std * jax.random.truncated_normal(key, a, b, shape, jnp.float32)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -83,8 +110,11 @@ class Bernoulli:
 
     p: float
 
+    def __post_init__(self) -> None:
+        _require(self, 0 <= self.p <= 1, "p must be from 0 to 1")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.bernoulli(key, self.p, shape).astype(jnp.float32)
+        return jax.random.bernoulli(key, jnp.float32(self.p), shape).astype(jnp.float32)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -97,8 +127,13 @@ class Choice:
 
     values: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        _require(self, len(self.values) > 0, "there must be a value")
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.choice(key, jnp.asarray(self.values, jnp.float32), shape)
+        # not jax.random.choice, whose draws depend on jax_enable_x64
+        which = jax.random.randint(key, shape, 0, len(self.values), jnp.int32)
+        return jnp.asarray(self.values, jnp.float32)[which]
 
     @property
     def support(self) -> tuple[float, float]:
@@ -116,6 +151,11 @@ DISTRIBUTIONS: dict[str, type] = {
 }
 
 
+def _require(law: Any, fine: bool, what: str) -> None:
+    if not fine:
+        raise InputError(f"{law}: {what}")
+
+
 def is_distribution(value: Any) -> bool:
     """Whether a leaf of a prior is drawn, not a constant."""
     return isinstance(value, Distribution)
@@ -126,13 +166,13 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
     for stage, tree in prior.items():
         for field, spec in specs(type(tree)).items():
             value = getattr(tree, field)
+            if np.size(value) == 0:
+                raise InputError(f"{stage}.{field} holds no number")
             low, high = value.support if is_distribution(value) else (np.min(value), np.max(value))
             tolerance = 1e-6 * (spec.bounds[1] - spec.bounds[0])
             if not (spec.bounds[0] - tolerance <= low <= high <= spec.bounds[1] + tolerance):
                 bounds = f"[{spec.bounds[0]:g}, {spec.bounds[1]:g}]"
                 raise InputError(f"{stage}.{field}: [{low:g}, {high:g}] is not within {bounds}")
-            if isinstance(value, LogUniform) and low <= 0:
-                raise InputError(f"{stage}.{field}: log_uniform needs a positive low, got {low:g}")
     return prior
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
-from jaxisp.errors import InputError
-from jaxisp.io.files import parse_toml, reason, write_text
-from jaxisp.pipeline import over_batch, sample_keys
+from jaxisp.domains import ENCODED, accepts
+from jaxisp.errors import InputError, one_line
+from jaxisp.io.files import parse_toml, read_toml, short, write_text
+from jaxisp.pipeline import Node, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
@@ -23,13 +24,16 @@ Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 
 BRIGHTEST = 4.0
 """Of encoded pictures; those that were sharpened or are linear light do not reach it, 8-bit levels do."""
+LAST_INDEX = 2**31 - 1
+"""Of samples."""
+_SIZE = (64, 64)  # of the picture that a recipe is tried on
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recipe:
     """A pipeline, what its parameters are drawn from, and what it is for.
 
-    Two recipes are equal where their TOML is, and then share one compile.
+    Two recipes are equal where their TOML and the functions of their stages are, and then share one compile.
     """
 
     chain: Chain
@@ -58,7 +62,8 @@ class Recipe:
         return self.to_toml()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Recipe) and self._text == other._text
+        # by its text alone, a stage that was edited would go on as it was compiled before
+        return isinstance(other, Recipe) and self._text == other._text and self.chain == other.chain
 
     def __hash__(self) -> int:
         return hash(self._text)
@@ -74,8 +79,8 @@ class Recipe:
 
         Args:
             key: a JAX key, as `jax.random.key(0)`.
-            images: (N, H, W, 3) float32, encoded sRGB in [0, 1].
-            start: the global index of the first image, or (N,) indices.
+            images: (N, H, W, 3) floats, encoded sRGB in [0, 1]; taken as float32.
+            start: the global index of the first image, or (N,) indices; from 0 to 2**31 - 1.
 
         Returns:
             noisy (N, H, W, 3) float32 encoded sRGB, clean (the images), and the drawn parameters,
@@ -83,24 +88,33 @@ class Recipe:
 
         Raises:
             TypeError: images are not (N, H, W, 3) floats, or the key is none.
-            ValueError: images in host memory are far above 1, as 8-bit levels are.
+            ValueError: images in host memory hold NaN or are far above 1, as 8-bit levels are; they have no
+                pixels; or there is no such index.
         """
         check_backend()
+        return _degrade(self, *self._taken(key, images, start))
+
+    def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
+        """Degrade again with parameters drawn before: the same bits for the same key and start.
+
+        Takes and raises what `degrade` does.
+        """
+        key, images, start = self._taken(key, images, start)
+        return _repeat(self, key, params, images, start)
+
+    def _taken(self, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
+        """Key, images and start as they are computed with, checked as far as the host knows them."""
         shape = jnp.shape(images)
         if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
             got = f"{jnp.result_type(images)}{shape}"
             raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
         if not isinstance(key, jax.Array | np.ndarray):
             raise TypeError(f"recipe {self.name!r} takes a JAX key, as jax.random.key(0), got {key!r}")
-        if isinstance(images, np.ndarray) and images.size and (most := images.max()) > BRIGHTEST:
-            raise ValueError(
-                f"recipe {self.name!r} takes levels in [0, 1], got {most:g}: divide 8 bits by 255"
-            )
-        return _degrade(self, key, jnp.asarray(images), start)
-
-    def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
-        """Degrade again with parameters drawn before: the same bits for the same key and start."""
-        return _repeat(self, key, params, jnp.asarray(images), start)
+        most = float(images.max()) if isinstance(images, np.ndarray) and images.size else 0.0
+        if not most <= BRIGHTEST:
+            advice = ": divide 8 bits by 255" if most > BRIGHTEST else ""  # none for NaN
+            raise ValueError(f"recipe {self.name!r} takes levels in [0, 1], got {most:g}{advice}")
+        return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
     def to_toml(self) -> str:
         """The recipe as TOML; `from_toml` reads it back equal."""
@@ -113,8 +127,11 @@ class Recipe:
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """Read a recipe. Raises InputError that names `source` and what is wrong."""
+        return cls._from_table(parse_toml(text, source), source)
+
+    @classmethod
+    def _from_table(cls, table: dict[str, Any], source: str) -> "Recipe":
         try:
-            table = parse_toml(text, source)
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
                 raise InputError(
@@ -127,7 +144,7 @@ class Recipe:
             params = decode_params(table.get("params", {}), chain)
             return cls(chain, params, str(table.get("description", "")), table.get("meta", {}))
         except ValueError as error:
-            raise InputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None
+            raise InputError(f"{source}: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
@@ -135,14 +152,64 @@ class Recipe:
 
     @classmethod
     def load(cls, path: str | Path) -> "Recipe":
-        """Read a TOML file. Raises InputError where it is missing or wrong."""
+        """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
+        return cls._from_table(read_toml(path), str(path))
+
+
+def check_photographs(recipe: Recipe) -> None:
+    """Raise InputError where a recipe does not take and give encoded sRGB, as photographs are."""
+    chain = recipe.chain
+    for verb, domain, fits in (
+        ("takes", chain.domain_in, accepts(chain.domain_in, ENCODED)),
+        ("gives", chain.domain_out, accepts(ENCODED, chain.domain_out)),
+    ):
+        if not fits:
+            raise InputError(f"recipe {recipe.name!r} {verb} {domain.name}, not photographs ({ENCODED.name})")
+
+
+def check_traces(recipe: Recipe) -> None:
+    """Raise InputError where a recipe cannot run on any image, before time is spent on some.
+
+    It is traced, stage by stage, so that the error names the one that refuses an option or the length of a
+    parameter. Where it takes three channels, pictures must come out as large as they went in.
+    """
+    chain = recipe.chain
+    shapes = {1: _SIZE, 3: (*_SIZE, 3), None: (*_SIZE, 3)}
+    image = jax.ShapeDtypeStruct(shapes[chain.domain_in.channels], jnp.float32)
+    key = jax.eval_shape(jax.random.key, 0)
+    params = jax.eval_shape(recipe.draw, key)
+    for node in chain.nodes:
         try:
-            text = Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {reason(error)}") from None
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: cannot be read as TOML ({error})") from None
-        return cls.from_toml(text, str(path))
+            image = jax.eval_shape(functools.partial(_call, node), params, image, key)
+        except (TypeError, ValueError, LookupError, ArithmeticError) as error:
+            options = ", ".join(f"{name} = {value!r}" for s in node.stages() for name, value in s.static)
+            where = f"{node.name} ({options})" if options else node.name
+            what = one_line(error).removeprefix(f"{node.name}: ")
+            raise InputError(f"recipe {recipe.name!r}: {where}: {what}") from None
+    if chain.domain_in.channels != 1 and image.shape != shapes[chain.domain_out.channels]:
+        raise InputError(
+            f"recipe {recipe.name!r} makes {image.shape} of a picture of {_SIZE} pixels, "
+            "which must keep its size"
+        )
+
+
+def _call(node: Node, params: dict[str, Any], image: jax.Array, key: jax.Array) -> jax.Array:
+    return node(params, image, key=key)
+
+
+def _indices(start: Any, count: int) -> Any:
+    """`start` in int32, which JAX would wrap a larger one into; what is on the device already is as it is."""
+    if isinstance(start, jax.Array):
+        return start
+    given = np.asarray(start)
+    last = LAST_INDEX - (max(count - 1, 0) if given.ndim == 0 else 0)
+    whole = np.issubdtype(given.dtype, np.integer) and given.shape in ((), (count,))
+    if not (whole and ((given >= 0) & (given <= last)).all()):
+        raise ValueError(
+            f"start = {short(start)}: give the index of the first image, or one for each of the {count}, "
+            f"from 0 to {LAST_INDEX}"
+        )
+    return given.astype(np.int32)
 
 
 def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:

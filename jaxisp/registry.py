@@ -24,9 +24,10 @@ def register(fn: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
 
     A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
-    test. Users register their own in the same way.
+    test. Users register their own in the same way; a notebook's cell that is run again replaces its own.
     """
-    if REGISTRY.get(fn.__name__, fn) is not fn:
+    known = REGISTRY.get(fn.__name__, fn)
+    if (known.__module__, known.__qualname__) != (fn.__module__, fn.__qualname__):
         raise ValueError(f"a stage named {fn.__name__!r} is registered already")
     signature(fn)
     REGISTRY[fn.__name__] = fn

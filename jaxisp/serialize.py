@@ -8,7 +8,7 @@ or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distributi
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
 
 Table = dict[str, Any]
+_OPTIONS: dict[Any, tuple[type, ...]] = {bool: (bool,), int: (int,), float: (float, int), str: (str,)}
+"""What may be written for an option that a stage annotates so."""
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
 
 
@@ -46,6 +48,9 @@ def decode_node(table: Any) -> Node:
     unknown = set(table) - {"stage", "gate", "shuffle", "chain", "name", "options"}
     if len(kinds) != 1 or unknown:
         raise InputError(f"a stage must have one of stage, gate, shuffle, chain; got {sorted(table)}")
+    for key, kind, what in (("stage", str, "text"), ("name", str, "text"), ("options", dict, "a table")):
+        if key in table and not isinstance(table[key], kind):
+            raise InputError(f"{key} must be {what}, got {short(table[key])}")
     try:
         return _DECODERS[kinds[0]](table)
     except RecursionError:
@@ -55,7 +60,14 @@ def decode_node(table: Any) -> Node:
 
 
 def _decode_stage(table: Table) -> Node:
-    return stage(table["stage"], name=table.get("name"), **table.get("options", {}))
+    options = table.get("options", {})
+    decoded = stage(table["stage"], name=table.get("name"), **options)
+    hints = get_type_hints(decoded.fn)
+    for name, value in options.items():
+        kinds = _OPTIONS.get(hints.get(name))
+        if kinds and type(value) not in kinds:  # a bool is an int elsewhere
+            raise InputError(f"{decoded.name}: option {name} must be {kinds[0].__name__}, got {short(value)}")
+    return decoded
 
 
 def _named(kind: Callable[..., Node], inner: Any, table: Table) -> Node:
@@ -124,6 +136,8 @@ def _decode_leaf(path: str, value: Any) -> Any:
         if not all(map(math.isfinite, numbers)):
             raise ValueError("not finite")
         return Choice(tuple(numbers)) if kind == "choice" else DISTRIBUTIONS[kind](*numbers)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, OverflowError):  # a TOML integer may have any size
         kinds = ", ".join(DISTRIBUTIONS)
         raise InputError(

@@ -142,6 +142,15 @@ def test_pictures_go_to_a_domain_and_back():
     np.testing.assert_allclose(same, picture, atol=2e-5)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_whole_levels_are_shares_of_the_largest(dtype):
+    picture = smooth_image((12, 15, 3))
+    whole = np.round(picture * np.iinfo(dtype).max).astype(dtype)
+    html = Pictures([("a", whole)])._repr_html_()
+    assert html == Pictures([("a", whole / np.iinfo(dtype).max)])._repr_html_()
+    np.testing.assert_allclose(picture_after(stage("clip"), whole), picture, atol=0.003)
+
+
 def test_pictures_are_escaped():
     html = Pictures([("<b>&", np.zeros((2, 3)))], magnify=4)._repr_html_()
     assert (

@@ -11,7 +11,19 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.domains import RGB, EncodedRGB, LinearRGB, Mosaic
 from jaxisp.params import Leaf, param, parameters
-from jaxisp.pipeline import Chain, Gate, Shuffle, Stage, register, run, run_batch, sections, signature, stage
+from jaxisp.pipeline import (
+    REGISTRY,
+    Chain,
+    Gate,
+    Shuffle,
+    Stage,
+    register,
+    run,
+    run_batch,
+    sections,
+    signature,
+    stage,
+)
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
 from tests.conftest import smooth_image
 
@@ -260,6 +272,34 @@ def test_declarations_are_checked():
         clash = typing.cast(typing.Any, lambda image: image)
         clash.__name__ = "unsharp_mask"
         register(clash)
+
+
+def test_a_cell_that_is_run_again_replaces_its_stage():
+    def define(power):
+        def edited(image: RGB) -> RGB:
+            return image**power
+
+        return register(edited)
+
+    first = define(2)
+    try:
+        assert stage("edited").fn is first
+        again = define(3)
+        assert stage("edited").fn is again is not first
+        again.__module__ = "elsewhere"
+        with pytest.raises(ValueError, match="registered already"):
+            define(4)
+    finally:
+        del REGISTRY["edited"]
+
+
+def test_batches_without_images_and_images_without_pixels():
+    node = Chain((Gate(stage(offset)),))
+    switch = type(node.init()["use_offset"])(on=np.zeros(0, np.float32))
+    assert run_batch(node, node.init() | {"use_offset": switch}, IMAGES[:0]).shape == (0, 9, 14, 3)
+    for nothing in (IMAGES[:, :0], IMAGES[:, :, :0]):
+        with pytest.raises(ValueError, match="chain: pictures without pixels, of shape"):
+            run_batch(node, node.init(), nothing)
 
 
 def test_sections_of_a_docstring():

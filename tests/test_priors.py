@@ -45,6 +45,60 @@ def test_moments_and_support(distribution, mean, std):
         assert x.std() == pytest.approx(std, rel=0.03)
 
 
+LAWS = [
+    Uniform(0.1, 0.3), LogUniform(0.01, 0.1), PowerUniform(0, 0.2, 2), PowerUniform(-0.5, 0.1, 3.0),
+    Normal(0.1, 0.2, 0, 0.3), Bernoulli(0.3), Choice((0.1, 0.2, 0.4)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_draws_do_not_depend_on_x64(law):
+    usual = np.asarray(law.sample(jax.random.key(2), (50,)))
+    with jax.enable_x64(True):
+        wide = np.asarray(law.sample(jax.random.key(2), (50,)))
+    assert usual.dtype == wide.dtype == np.float32
+    np.testing.assert_array_equal(wide, usual)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (lambda: Uniform(0.2, 0.1), "low is above high"),
+        (lambda: Uniform(float("nan"), 1), "low is above high"),
+        (lambda: LogUniform(0, 1), "low must be positive"),
+        (lambda: LogUniform(0.2, 0.1), "low is above high"),
+        (lambda: PowerUniform(0.2, 0.1, 2), "low is above high"),
+        (lambda: PowerUniform(0, 0.1, -1), "the exponent must be positive"),
+        (lambda: PowerUniform(-0.5, 0.1, 0.5), "a negative low needs a whole exponent"),
+        (lambda: Normal(0.1, 0, 0, 0.2), "std must be positive"),
+        (lambda: Normal(0.1, 1, 0.2, 0), "low is above high"),
+        (lambda: Bernoulli(1.5), "p must be from 0 to 1"),
+        (lambda: Bernoulli(-0.1), "p must be from 0 to 1"),
+        (lambda: Choice(()), "there must be a value"),
+    ],
+)
+def test_what_is_no_distribution_is_refused(law, message):
+    with pytest.raises(InputError, match=message):
+        law()
+
+
+@pytest.mark.parametrize(
+    ("law", "support"),
+    [
+        (PowerUniform(-0.5, 0.1, 2), (0, 0.25)),
+        (PowerUniform(-0.5, 0.1, 3), (-0.125, 0.001)),
+        (PowerUniform(-0.5, -0.1, 2), (0.01, 0.25)),
+    ],
+)
+def test_powers_of_negative_numbers(law, support):
+    assert law.support == pytest.approx(support)
+    drawn = np.asarray(law.sample(jax.random.key(0), (1000,)))
+    assert support[0] - 1e-6 <= drawn.min() < drawn.max() <= support[1] + 1e-6
+    check_prior({"m": UnsharpMask(amount=PowerUniform(-0.5, 0.1, 2))})  # within [0, 4]
+    with pytest.raises(InputError, match=r"m.amount: \[0, inf\] is not within"):
+        check_prior({"m": UnsharpMask(amount=PowerUniform(0, 1e300, 2))})
+
+
 def test_draws_do_not_depend_on_what_else_is_drawn():
     few = {"a": UnsharpMask(amount=Uniform(0, 1))}
     more = {"b": UnsharpMask(sigma=LogUniform(0.5, 2)), "a": UnsharpMask(amount=Uniform(0, 1), sigma=2.0)}
@@ -108,6 +162,22 @@ def test_pipeline_and_priors_go_to_toml_and_back_unchanged():
         ({"stage": "unsharp_mask", "colour": 1}, "must have one of"),
         ("jpeg", "must be a table"),
         ({"chain": [{"stage": "unsharp_mask"}, {"stage": "unsharp_mask"}]}, "unique"),
+        ({"stage": 5}, "stage must be text, got 5"),
+        ({"stage": "unsharp_mask", "name": 5}, "name must be text, got 5"),
+        ({"gate": {"stage": "unsharp_mask"}, "name": 5}, "name must be text, got 5"),
+        ({"stage": "unsharp_mask", "options": [1]}, r"options must be a table, got \[1\]"),
+        ({"stage": "unsharp_mask", "options": {"radius": 2.5}}, "option radius must be int, got 2.5"),
+        (
+            {"stage": "unsharp_mask", "options": {"radius": {"a": 1}}},
+            "option radius must be int, got {'a': 1}",
+        ),
+        (
+            {"stage": "rounding", "options": {"bits": "eight"}},
+            "rounding: option bits must be int, got 'eight'",
+        ),
+        ({"stage": "rounding", "options": {"legacy": "no"}}, "option legacy must be bool, got 'no'"),
+        ({"stage": "rounding", "options": {"bits": True}}, "option bits must be int, got True"),
+        ({"stage": "clip", "options": {"low": "x"}}, "option low must be float, got 'x'"),
     ],
 )
 def test_a_broken_pipeline_is_refused(node, message):
@@ -124,6 +194,12 @@ def test_a_broken_pipeline_is_refused(node, message):
         ({"a": {"amount": float("nan")}}, "a.amount = nan"),
         ({"a": {"amount": {"uniform": [0, 9]}}}, "a.amount"),
         ({"a": {"amount": {"uniform": [0]}}}, "one of uniform"),
+        (
+            {"a": {"amount": {"uniform": [1, 0]}}},
+            r"a.amount: Uniform\(low=1.0, high=0.0\): low is above high",
+        ),
+        ({"a": {"amount": {"choice": []}}}, "a.amount: .* there must be a value"),
+        ({"which_first": {"priority": []}}, "which_first.priority holds no number"),
         ({"a": {"amount": {"gauss": [0, 1]}}}, "one of uniform"),
         ({"a": {"amount": "much"}}, "one of uniform"),
         ({"a": {"amount": {"uniform": [0, float("nan")]}}}, "one of uniform"),

@@ -1,14 +1,16 @@
 """Recipes: what they draw, reproducibility, TOML."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxisp.domains import EncodedRGB
 from jaxisp.errors import InputError
 from jaxisp.pipeline import Chain, Gate, Order, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
-from jaxisp.recipe import Recipe, _degrade
+from jaxisp.recipe import LAST_INDEX, Recipe, _degrade, check_photographs, check_traces
 from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
 from tests.conftest import smooth_image
@@ -166,6 +168,127 @@ def test_levels_of_8_bits_and_a_key_that_is_none_are_refused_in_words():
         RECIPES["awgn"]().degrade(KEY, images)
     with pytest.raises(TypeError, match=r"jax\.random\.key\(0\), got 0"):
         RECIPES["awgn"]().degrade(0, images / 255)
+
+
+@pytest.mark.parametrize("start", [LAST_INDEX - 6, -1, np.int64(2**32), 2**70, 0.5, [0, 1, 2], [2**31] * 8])
+def test_an_index_that_no_sample_has_is_refused(start):
+    with pytest.raises(ValueError, match=r"start = .*: give the index of the first image"):
+        RECIPES["awgn"]().degrade(KEY, IMAGES, start)
+
+
+def test_the_last_indices():
+    recipe = RECIPES["awgn"]()
+    many = recipe.degrade(KEY, IMAGES, LAST_INDEX - 7)[0]
+    np.testing.assert_array_equal(recipe.degrade(KEY, IMAGES[7:], [LAST_INDEX])[0], many[7:])
+
+
+def test_a_stage_that_was_edited_is_compiled_anew():
+    """As where a notebook's cell is run again: the text of the recipe is what it was."""
+
+    def times(factor):
+        def tint(image: EncodedRGB) -> EncodedRGB:
+            return factor * image
+
+        return Recipe(Chain((stage(tint),), "mine"), {})
+
+    before, after = times(0.5), times(0.25)
+    assert before.to_toml() == after.to_toml() and before != after
+    for recipe, factor in ((before, 0.5), (after, 0.25)):
+        np.testing.assert_array_equal(recipe.degrade(KEY, IMAGES)[0], np.float32(factor) * IMAGES)
+
+
+def test_nan_does_not_pass_for_a_picture():
+    bad = IMAGES.copy()
+    bad[0, 10, 10, 1] = np.nan
+    with pytest.raises(ValueError, match="got nan"):
+        RECIPES["phone"]().degrade(KEY, bad)
+    noisy = np.asarray(RECIPES["phone"]().degrade(KEY, jnp.asarray(bad))[0])  # not looked at on the host
+    assert np.isnan(noisy[0, 10, 10]).all() and np.isfinite(noisy[1:]).all()
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_floats_are_computed_in_whole_ones(dtype):
+    recipe, halves = RECIPES["awgn"](), jnp.asarray(IMAGES, dtype)
+    noisy, clean, params = recipe.degrade(KEY, halves)
+    assert noisy.dtype == clean.dtype == np.float32
+    np.testing.assert_array_equal(noisy, recipe.degrade(KEY, halves.astype(np.float32))[0])
+    np.testing.assert_array_equal(recipe.repeat(KEY, params, halves), noisy)
+
+
+def test_draws_and_pictures_are_float32_under_x64(x64):
+    noisy, clean, params = RECIPES["awgn"]().degrade(KEY, IMAGES.astype(np.float64))
+    assert {leaf.dtype for leaf in jax.tree.leaves((noisy, clean, params))} == {np.dtype("float32")}
+
+
+def test_no_image_and_an_image_without_pixels():
+    recipe = RECIPES["phone-any"]()  # its switches are drawn: a CPU takes the images one by one
+    noisy, _, params = recipe.degrade(KEY, IMAGES[:0])
+    assert noisy.shape == (0, 24, 32, 3) and params["use_bilateral"].on.shape == (0,)
+    for nothing in (IMAGES[:, :0], IMAGES[:, :, :0]):
+        with pytest.raises(ValueError, match="phone-any: pictures without pixels"):
+            recipe.degrade(KEY, nothing)
+
+
+def recipe_of(stages, params=""):
+    return Recipe.from_toml(f'name = "mine"\nstages = [{stages}]\n{params}')
+
+
+@pytest.mark.parametrize(
+    ("stages", "params", "message"),
+    [
+        (
+            '{stage="srgb_eotf"}, {stage="mosaic", options={cfa="XXXX"}}, {stage="demosaic_ahd"}', "",
+            r"mosaic \(cfa = 'XXXX'\): cfa 'XXXX' is not one of",
+        ),
+        ('{stage="rounding", options={bits=0}}', "", r"rounding \(bits = 0\): bits must be in 1..16, got 0"),
+        ('{gate={stage="unsharp_mask", options={radius=-3}}}', "", r"use_unsharp_mask \(radius = -3\): "),
+        ('{stage="spline_curve"}', "[params.spline_curve]\noffsets=[0.1]", "spline_curve: "),
+        ('{stage="motion_blur"}', "[params.motion_blur]\nlengths=[1.0]", r"motion_blur: \(1,\) lengths but"),
+        (
+            '{shuffle=[{stage="saturation"}, {stage="hue_rotation"}]}', "[params.order]\npriority=[0.5]",
+            "order: 'order' orders 2 nodes",
+        ),
+    ],
+)  # fmt: skip
+def test_what_stages_refuse_is_told_before_any_work(stages, params, message):
+    with pytest.raises(InputError, match=f"^recipe 'mine': {message}") as caught:
+        check_traces(recipe_of(stages, params))
+    assert "\n" not in str(caught.value)
+
+
+def test_pictures_keep_their_size():
+    with pytest.raises(InputError, match=r"'mine' makes \(32, 32, 3\) of .* must keep its size"):
+        check_traces(recipe_of('{stage="resize"}'))
+    check_traces(recipe_of('{stage="resize"}, {stage="resize", name="back", options={factor=2}}'))
+    check_traces(recipe_of('{stage="demosaic_bilinear"}, {stage="resize"}'))  # a camera may shrink
+    check_traces(recipe_of('{stage="srgb_eotf"}, {stage="mosaic"}'))
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_the_recipes_pass_the_checks(name):
+    check_photographs(RECIPES[name]())
+    check_traces(RECIPES[name]())
+
+
+@pytest.mark.parametrize(
+    ("stages", "message"),
+    [
+        ('{stage="srgb_eotf"}', "gives linear sRGB, not photographs"),
+        ('{stage="mosaic"}, {stage="demosaic_ahd"}', "takes linear sRGB, not photographs"),
+        ('{stage="srgb_eotf"}, {stage="mosaic"}', "gives mosaic, not photographs"),
+    ],
+)
+def test_recipes_for_photographs_take_and_give_encoded_srgb(stages, message):
+    with pytest.raises(InputError, match=f"recipe 'mine' {message}"):
+        check_photographs(recipe_of(stages))
+    check_photographs(recipe_of('{stage="gaussian_noise"}'))  # takes anything, and keeps it
+
+
+def test_a_file_that_is_too_large_for_a_recipe_is_not_read(tmp_path):
+    with (tmp_path / "r.toml").open("wb") as file:
+        file.truncate((16 << 20) + 1)
+    with pytest.raises(InputError, match=r"r.toml: is larger than 16 MiB"):
+        Recipe.load(tmp_path / "r.toml")
 
 
 def test_a_recipe_without_noise_needs_no_noise():

@@ -1,11 +1,14 @@
 """JPEG as libjpeg does it, decoded: by quality, by Photoshop's level, or by the tables of a file."""
 
+from collections.abc import Iterable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxisp.domains import EncodedRGB
-from jaxisp.jpeg_codec import SAMPLING, compress, compress_full_or_half
+from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.numerics import clip_through, materialize, planes, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
@@ -39,7 +42,7 @@ def jpeg(
         column_phase: likewise to the left.
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
 
     Raises:
         ValueError: an unknown subsampling or a phase outside 0..15.
@@ -86,7 +89,7 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
             4:4:4), "4:4:4", "4:2:2" or "4:2:0".
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
 
     Raises:
         ValueError: an unknown subsampling.
@@ -99,10 +102,10 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
     if subsampling != "auto":
         return _through_jpeg(image, luma, chroma, subsampling)
     full = jnp.round(params.level) >= FIRST_FULL_LEVEL
-    red, green, blue = _levels(image)
-    exact = red.dtype
-    coded = compress_full_or_half((red, green, blue), luma.astype(exact), chroma.astype(exact), full)
-    return _stacked(coded, image.dtype)
+    levels = _levels(image)
+    exact = levels[0].dtype
+    coded = compress_full_or_half(levels, luma.astype(exact), chroma.astype(exact), full)
+    return _stacked(coded, levels, image.dtype)
 
 
 def _level_table(tables: np.ndarray, level: jax.Array) -> jax.Array:
@@ -149,7 +152,7 @@ def jpeg_tables(
         column_phase: likewise to the left.
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
 
     Raises:
         ValueError: an unknown subsampling or a phase outside 0..15.
@@ -175,21 +178,26 @@ def _through_jpeg(
         raise ValueError(f"jpeg: subsampling must be one of {', '.join(SAMPLING)}, got {subsampling!r}")
     if not (0 <= row_phase < 16 and 0 <= column_phase < 16):
         raise ValueError(f"jpeg: phases must be in 0..15, got {row_phase}, {column_phase}")
+    levels = _levels(image)
     red, green, blue = (
         jnp.pad(p, ((row_phase, 0), (column_phase, 0)), mode="edge") if row_phase or column_phase else p
-        for p in _levels(image)
+        for p in levels
     )
     exact = red.dtype
-    coded = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
-    return _stacked(tuple(p[row_phase:, column_phase:] for p in coded), image.dtype)
+    red, green, blue = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
+    coded = (p[row_phase:, column_phase:] for p in (red, green, blue))
+    return _stacked(coded, levels, image.dtype)
 
 
-def _levels(image: jax.Array) -> tuple[jax.Array, ...]:
+def _levels(image: jax.Array) -> Planes:
     """The planes in 8 bits, in a type that holds the sums: float16 does not."""
     exact = jnp.promote_types(image.dtype, jnp.float32)
     whole = tuple(round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in planes(image))
     return materialize(whole)  # or the gradient of all three would be computed for each
 
 
-def _stacked(coded: tuple[jax.Array, ...], dtype: jnp.dtype) -> jax.Array:
-    return jnp.stack([p.astype(dtype) / 255 for p in coded], axis=-1)
+def _stacked(coded: Iterable[jax.Array], levels: Planes, dtype: jnp.dtype) -> jax.Array:
+    """The image of the coded planes, with NaN where `levels`, which were coded, have one."""
+    red, green, blue = lax.stop_gradient(levels)
+    lost = 0 * (red + green + blue)  # by the coder: its integers would make some level of it
+    return jnp.stack([(p + lost).astype(dtype) / 255 for p in coded], axis=-1)

@@ -5,9 +5,12 @@ import fcntl
 import numpy as np
 import pytest
 
+from jaxisp import generate
 from jaxisp.errors import InputError
-from jaxisp.generate import degrade_files
+from jaxisp.generate import Outcome, Work, degrade_files
 from jaxisp.io import read_image, write_png
+from jaxisp.pipeline import Chain, stage
+from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from tests.conftest import smooth_image
 from tests.mounts import mounted
@@ -42,6 +45,44 @@ def test_resumed_is_undisturbed(photos, tmp_path):
     assert contents(out) != contents(whole)
 
 
+def test_pictures_of_many_sizes_do_not_pile_up(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for i in range(6):
+        write_png(tmp_path / "in" / f"{i}.png", smooth_image((20 + i % 3, 26, 3), i))
+    recipe = Recipe(Chain((stage("gaussian_noise"), stage("rounding")), "grain"), {})
+    whole, few = tmp_path / "whole", tmp_path / "few"
+    assert degrade_files([tmp_path / "in"], whole, recipe, seed=1).images == 6
+    monkeypatch.setattr(generate, "WAITING_PIXELS", 3 * 22 * 26)
+    reads = []
+    monkeypatch.setattr(generate, "read_image", lambda path: reads.append(path) or read_image(path))
+    work, given = Work([tmp_path / "in"], recipe, seed=1), []
+    for batch in work._batches(range(6), Outcome(), lambda sample: False):
+        given += [sample.stem for sample, _ in batch]
+        assert len(reads) - len(given) <= 3
+    assert sorted(given) == [f"{i}_000" for i in range(6)]
+    degrade_files([tmp_path / "in"], few, recipe, seed=1)
+    assert contents(few) == contents(whole)
+
+
+def test_a_broken_file_does_not_take_a_name(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8 not a picture")
+    for name in ("a.png", "b.png", "b.tiff"):
+        write_png(tmp_path / "b.png", smooth_image((20, 26, 3), 0))
+        (tmp_path / name).write_bytes((tmp_path / "b.png").read_bytes())
+    outcome = degrade_files([tmp_path], tmp_path / "out", RECIPES["awgn"]())
+    assert outcome.images == 2 and (tmp_path / "out" / "a_000.toml").exists()
+    reasons = dict((path.rpartition("/")[2], reason) for path, reason in outcome.failed)
+    assert set(reasons) == {"a.jpg", "b.tiff"} and "b.png has the same name" in reasons["b.tiff"]
+
+
+@pytest.mark.parametrize("stages", ['{stage="rounding", options={bits=0}}', '{stage="srgb_eotf"}'])
+def test_a_recipe_that_cannot_run_is_refused_before_any_work(photos, tmp_path, stages):
+    recipe = Recipe.from_toml(f'name = "mine"\nstages = [{stages}]')
+    with pytest.raises(InputError, match="recipe 'mine'"):
+        degrade_files([photos], tmp_path / "out", recipe)
+    assert not (tmp_path / "out").exists()
+
+
 def test_two_runs_into_one_folder_are_refused(photos, tmp_path):
     with (tmp_path / ".lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -63,7 +104,6 @@ def test_shards_on_a_full_disk(photos, tmp_path):
     pytest.importorskip("array_record")
     from jaxisp.data import degrade_shards
     from jaxisp.data.shard_source import shard_name
-    from jaxisp.generate import Work
 
     with mounted(tmp_path / "small", "-t", "tmpfs", "-o", "size=48k", "tmpfs") as out:
         with pytest.raises(InputError, match=r"array_record: cannot be written"):

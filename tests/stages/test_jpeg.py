@@ -167,6 +167,26 @@ def test_input_is_clipped_and_rounded_like_an_encoders():
     np.testing.assert_array_equal(levels(by_quality("4:2:0")(np.float32([75]), image))[0], want)
 
 
+@pytest.mark.parametrize(
+    "coder",
+    [
+        functools.partial(jpeg, Jpeg(quality=jnp.float32(60))),
+        functools.partial(jpeg, Jpeg(quality=jnp.float32(60)), row_phase=5, column_phase=11),
+        functools.partial(jpeg_photoshop, JpegPhotoshop(level=jnp.float32(6))),
+        functools.partial(jpeg_tables, JpegTables(), subsampling="4:4:4"),
+    ],
+)
+def test_nan_stays_nan(coder):
+    """The integers of the coder would make a level of it; the pixels of other blocks are what they were."""
+    image = floats(picture((64, 80)))
+    bad = image.copy()
+    bad[3, 70, 1] = np.nan
+    run = jax.jit(jax.vmap(coder))
+    got, want = np.asarray(run(np.stack([bad, image])))
+    assert np.isnan(got[3, 70]).all() and np.isnan(got).any(-1).sum() == 1
+    np.testing.assert_array_equal(got[33:, :40], want[33:, :40])
+
+
 def test_double_precision_gives_the_same_pixels(x64):
     image = picture((21, 34))
     got = jax.jit(jpeg)(Jpeg(quality=jnp.float64(60)), jnp.asarray(image / 255))
