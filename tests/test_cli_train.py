@@ -1,6 +1,8 @@
 """`jaxisp train`, `denoise` and `evaluate`: results, exit codes, one line for each fault."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from PIL import Image
 from jaxisp.cli import main
 from jaxisp.io import read_image
 from tests.conftest import smooth_image
+from tests.mounts import mounted
 
 SMALL = (
     "--steps", 2, "--batch", 1, "--patch", 16, "--downsample", 2, "--validation", 1, "--checkpoint-every", 1,
@@ -66,6 +69,9 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     status, text, _ = run(capsys, "denoise", "--run", trained, noisy, "-o", out, "--json")
     assert status == 0 and json.loads(text)["images"] == 1
     assert read_image(out / "0_000.noisy.png").shape == (40, 48, 3)
+    for command in (("denoise", noisy, "-o", out), ("evaluate", tmp_path / "pairs")):
+        status, text, err = run(capsys, *command, "--run", trained, "--tile", 8)
+        assert status == 2 and not text and err.count("\n") == 1 and "a tile of 8 px is too small" in err
 
     status, text, _ = run(capsys, "evaluate", "--run", trained, tmp_path / "pairs", "--json")
     result = json.loads(text)
@@ -104,3 +110,40 @@ def test_unusable_calls_are_one_line_and_status_2(capsys, clean, tmp_path, argum
     places = {"CLEAN": clean, "RUN": tmp_path / "run", "MISSING": tmp_path / "missing"}
     status, out, err = run(capsys, *(places.get(a, a) for a in arguments))
     assert status == 2 and not out and err.count("\n") == 1 and message in err
+
+
+@pytest.mark.parametrize(
+    ("stages", "message"),
+    [
+        ('{ stage = "rounding", options = { bits = "eight" } }', "rounding"),
+        ('{ stage = "resize", options = { factor = 0.5 } }', "must keep its size"),
+        ('{ stage = "srgb_eotf" }', "not photographs"),
+    ],
+)
+def test_a_recipe_that_cannot_run_leaves_the_folder_free(capsys, clean, tmp_path, stages, message):
+    (tmp_path / "r.toml").write_text(f'name = "r"\nstages = [{stages}]\n')
+    arguments = ("train", "--clean", clean, "--recipe", tmp_path / "r.toml", "-o", tmp_path / "run", *SMALL)
+    status, out, err = run(capsys, *arguments)
+    assert status == 2 and not out and err.count("\n") == 1 and message in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_full_disk_is_one_line_and_status_2(clean, tmp_path):
+    """In a process of its own: threads may print when it ends."""
+    command = [
+        sys.executable,
+        "-m",
+        "jaxisp",
+        "train",
+        "--clean",
+        clean,
+        "--recipe",
+        "awgn",
+        "--model",
+        "fast",
+    ]
+    with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=200k", "tmpfs") as disk:
+        arguments = [str(a) for a in (*command, "-o", disk / "run", *SMALL)]
+        done = subprocess.run(arguments, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert "the checkpoint of step 1 cannot be written" in done.stderr and "No space left" in done.stderr

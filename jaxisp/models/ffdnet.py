@@ -61,7 +61,9 @@ class FFDNet(nnx.Module):
 
 def estimate_noise(x: jax.Array) -> jax.Array:
     """(N,) standard deviations of white noise in (N, H, W, C): the mean magnitude of what a mask that
-    ignores planes leaves. Source: Immerkaer 1996."""
+    ignores planes leaves; 0 for pictures below 3 px, which have no such thing. Source: Immerkaer 1996."""
     rows = x[:, :-2] - 2 * x[:, 1:-1] + x[:, 2:]
     both = rows[:, :, :-2] - 2 * rows[:, :, 1:-1] + rows[:, :, 2:]
+    if 0 in both.shape:
+        return jnp.zeros(len(x), x.dtype)
     return jnp.sqrt(jnp.pi / 2) / 6 * jnp.abs(both).mean(axis=(1, 2, 3))

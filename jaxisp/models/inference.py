@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
+from jaxisp.errors import InputError
+
 TILE = 256
 
 
@@ -31,7 +33,8 @@ def denoise(model: nnx.Module, image: Any, *, tile: int | None = None) -> np.nda
         (H, W, C) float32, not clipped.
 
     Raises:
-        ValueError: the image is not (H, W, C), or the tile is too small for the network's reach.
+        ValueError: the image is not (H, W, C).
+        InputError: the tile is too small for the network's reach.
     """
     image = np.asarray(image, np.float32)
     if image.ndim != 3:
@@ -60,7 +63,10 @@ def _apply(graph: Any, state: Any, image: jax.Array) -> jax.Array:
 def _exact(apply: Any, image: np.ndarray, tile: int, reach: int, multiple: int) -> np.ndarray:
     margin = reach + -reach % multiple
     if tile <= 2 * margin:
-        raise ValueError(f"a tile of {tile} px is too small for a network that looks {reach} px far")
+        raise InputError(
+            f"a tile of {tile} px is too small for a network that looks {reach} px far: "
+            f"expected more than {2 * margin}"
+        )
     out = np.empty_like(image)
     rows, columns = (_starts(n, tile, 2 * margin) for n in image.shape[:2])
     for y in rows:

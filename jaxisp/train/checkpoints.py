@@ -1,18 +1,24 @@
 """Checkpoints of a run: written whole or not at all, the newest few and the best are kept."""
 
-import json
+import logging
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxisp.errors import InputError, one_line
+from jaxisp.io.files import reason
 from jaxisp.train.step import State
 
 FOLDERS = ("best", "last")
+_OVERHEAD = 1 << 20  # bytes of a checkpoint besides its arrays, at the most
+
+# what orbax logs besides raising it, its threads even after that: it is told once, by an InputError
+_RAISED = ("_SignalingThread.run() raised", "Metadata file does not exist")
+logging.getLogger("absl").addFilter(lambda record: not any(text in str(record.msg) for text in _RAISED))
 
 
 class Checkpoints:
@@ -20,13 +26,27 @@ class Checkpoints:
 
     A checkpoint is written into a temporary folder that is renamed when it is whole, and older ones are
     deleted after that: whatever kills the process, the last whole one stands.
+
+    Args:
+        run: the folder of the run.
+        keep: checkpoints kept besides the best.
+        reading: leave the folder as it is, where another process may be training into it. A trainer makes
+            its folders, and deletes what a killed one left half written.
+
+    Raises:
+        InputError: the folders cannot be made, or read.
     """
 
-    def __init__(self, run: Path, keep: int = 2) -> None:
-        self._managers = {
-            name: _manager(run / "checkpoints" / name, count) for name, count in zip(FOLDERS, (1, keep))
-        }
+    def __init__(self, run: Path, keep: int = 2, *, reading: bool = False) -> None:
         self.run = run
+        try:
+            self._managers = {
+                name: _manager(run / "checkpoints" / name, count, reading)
+                for name, count in zip(FOLDERS, (1, keep))
+            }
+        except OSError as error:
+            verb = "read" if reading else "written"
+            raise InputError(f"{run / 'checkpoints'}: cannot be {verb}: {reason(error)}") from error
 
     @property
     def best(self) -> tuple[int, float] | None:
@@ -56,6 +76,7 @@ class Checkpoints:
             state=ocp.args.StandardSave(state._asdict()), notes=ocp.args.JsonSave({"psnr": psnr})
         )
         try:
+            _check_room(self.run / "checkpoints" / which, state)
             manager.save(step, args=items)
             manager.wait_until_finished()
         except Exception as error:  # orbax and tensorstore raise many kinds for a full disk
@@ -94,11 +115,11 @@ class Checkpoints:
             manager.close()
 
 
-def _manager(folder: Path, keep: int) -> ocp.CheckpointManager:
+def _manager(folder: Path, keep: int, reading: bool) -> ocp.CheckpointManager:
     options = ocp.CheckpointManagerOptions(
         max_to_keep=keep,
-        create=True,
-        cleanup_tmp_directories=True,
+        create=not reading,
+        cleanup_tmp_directories=not reading,
         enable_async_checkpointing=False,
     )
     return ocp.CheckpointManager(folder.resolve(), options=options)
@@ -108,12 +129,12 @@ def _notes(manager: ocp.CheckpointManager, step: int) -> dict[str, Any]:
     return manager.restore(step, args=ocp.args.Composite(notes=ocp.args.JsonRestore()))["notes"]
 
 
-def fingerprint(state: State) -> str:
-    """A digest of every bit of a state, to compare runs by."""
-    import hashlib
+def _check_room(folder: Path, state: State) -> None:
+    """Raise OSError where the disk, or a quota, has no room for a checkpoint.
 
-    digest = hashlib.sha256()
-    for path, leaf in jax.tree.leaves_with_path(state):
-        digest.update(json.dumps(str(path)).encode())
-        digest.update(np.asarray(leaf).tobytes())
-    return digest.hexdigest()
+    Orbax would find out in many threads, each of which prints a traceback, some of them long afterwards.
+    """
+    if jax.process_index() == 0:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            for size in (*(leaf.nbytes for leaf in jax.tree.leaves(state)), _OVERHEAD):
+                file.write(bytes(size))

@@ -1,7 +1,7 @@
 """A trained run as a denoiser of pictures and files."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ def load_denoiser(run: str | Path, checkpoint: str = "best") -> tuple[Denoiser, 
     config, _ = load_settings(run)
     model = build_model(config)
     like = init_state(model, make_optimizer(config, 1), ema=config.ema)
-    checkpoints = Checkpoints(Path(run), config.keep)
+    checkpoints = Checkpoints(Path(run), reading=True)
     found = checkpoint if checkpoints.steps(checkpoint) else "last"  # stopped before its first validation
     state = checkpoints.restore(like, found)
     checkpoints.close()
@@ -78,23 +78,31 @@ def denoise_files(
         {"images", "seconds", "failed"}: failed has (file, reason) of what could not be used.
 
     Raises:
-        InputError: no input, or the folder cannot be written.
+        InputError: no input, the folder cannot be written, or the tile is too small for the network.
     """
     paths, out = find_images(inputs), output_folder(out)
-    clock, done, failed = time.perf_counter(), 0, []
-    seen: dict[str, Path] = {}
+    clock, failed = time.perf_counter(), []
+    done: dict[str, Path] = {}
     for path in paths:
         try:
-            if path.stem in seen:
-                raise InputError(f"{path}: {seen[path.stem]} has the same name, which outputs would share")
-            if (out / f"{path.stem}.png").resolve() == path.resolve():
-                raise InputError(f"{path}: would be overwritten by its own result")
-            seen[path.stem] = path
-            picture = read_image(path)
+            picture = _read(path, out, done)
         except InputError as error:
             failed.append((str(path), str(error)))
             continue
-        write_png(out / f"{path.stem}.png", denoiser(picture, tile=tile))
-        done += 1
-        tick(done, len(paths), path.name)
-    return {"images": done, "seconds": round(time.perf_counter() - clock, 3), "failed": failed}
+        denoised = denoiser(picture, tile=tile)  # a tile that is too small is so for all: not caught
+        if np.isnan(denoised).any():
+            failed.append((str(path), f"{path}: the network makes NaN of it"))
+            continue
+        write_png(out / f"{path.stem}.png", denoised)
+        done[path.stem] = path
+        tick(len(done), len(paths), path.name)
+    return {"images": len(done), "seconds": round(time.perf_counter() - clock, 3), "failed": failed}
+
+
+def _read(path: Path, out: Path, done: Mapping[str, Path]) -> np.ndarray:
+    """A picture; InputError where its result would replace itself or that of one done before."""
+    if path.stem in done:
+        raise InputError(f"{path}: {done[path.stem]} has the same name, which outputs would share")
+    if (out / f"{path.stem}.png").resolve() == path.resolve():
+        raise InputError(f"{path}: would be overwritten by its own result")
+    return read_image(path)

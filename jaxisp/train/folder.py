@@ -14,16 +14,17 @@ _LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
 CONFIG, RECIPE, CARD = "config.toml", "recipe.toml", "MODEL_CARD.md"
 
 
-def begin(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
-    """Write what a run is told; to resume, check that it is told the same (more steps are allowed).
-
-    Raises:
-        InputError: the folder holds a run and this is not to resume it, or it is another run's.
-    """
+def check_folder(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
+    """Raise InputError where the folder holds a run and this is not to resume it, or is told something else
+    (more steps are allowed)."""
     if (run / CONFIG).exists():
         if not resume:
             raise InputError(f"{run}: holds a run already; resume it, or choose another folder")
         _check_same(run, config, recipe)
+
+
+def begin(run: Path, config: TrainConfig, recipe: Recipe) -> None:
+    """Write what a run is told."""
     recipe.save(run / RECIPE)
     config.save(run / CONFIG)  # the last: where it stands, the run can be resumed
 

@@ -19,12 +19,12 @@ from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
 from jaxisp.io.locks import locked
 from jaxisp.models import count_parameters, make_model
-from jaxisp.recipe import Recipe
+from jaxisp.recipe import Recipe, check_photographs, check_traces
 from jaxisp.recipes import find_recipe
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread
-from jaxisp.train.folder import begin, write_card
+from jaxisp.train.folder import begin, check_folder, write_card
 from jaxisp.train.logs import Log
 from jaxisp.train.optimizer import make_optimizer, schedule
 from jaxisp.train.step import State, init_state, make_step
@@ -90,18 +90,22 @@ def train(
         tick: called with (done, total, text).
 
     Raises:
-        InputError: the folder holds a run and `resume` is false, another process trains into it, no
-            photograph can be used, the disk is full, or the loss is no longer finite.
+        InputError: the recipe cannot run on photographs, the folder holds a run and `resume` is false,
+            another process trains into it, no photograph can be used, the disk is full, or the loss is no
+            longer finite.
     """
     run = Path(run)
     recipe = recipe or find_recipe(config.recipe)
-    if recipe.chain.domain_in.channels != 3 or recipe.chain.domain_out.channels != 3:
-        raise InputError(f"recipe {recipe.name!r} takes {recipe.chain.domain_in.name}, not photographs")
+    check_photographs(recipe)
+    check_traces(recipe)
     lead = jax.process_index() == 0
     with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
         if lead:
-            begin(run, config, recipe, resume=resume)
-        return _Run(config, run, recipe, lead, signals, tick).train()
+            check_folder(run, config, recipe, resume=resume)
+        ready = _Run(config, run, recipe, lead, signals, tick)
+        if lead:
+            begin(run, config, recipe)  # not before its photographs were found
+        return ready.train()
 
 
 class _Run:

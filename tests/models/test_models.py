@@ -87,7 +87,9 @@ def test_tiles_give_the_whole_picture(name, tile, size, rng):
 
 
 def test_a_tile_within_reach_is_refused(rng):
-    with pytest.raises(ValueError, match="too small for a network that looks 8 px far"):
+    with pytest.raises(
+        InputError, match="too small for a network that looks 8 px far: expected more than 16"
+    ):
         denoise(make_model("fast", **SMALL["fast"]), rng.random((40, 40, 3)), tile=16)
 
 
@@ -115,6 +117,14 @@ def test_the_noise_level_is_found_and_used(rng):
     model = make_model("ffdnet", **SMALL["ffdnet"])
     low, high = (run(model, jnp.asarray(clean, jnp.float32), jnp.array([level])) for level in (0.0, 0.5))
     assert np.abs(low - high).max() > 1e-3
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2)])
+def test_pictures_too_small_to_tell_their_noise_have_none(size):
+    x = jnp.full((2, *size, 3), 0.5)
+    assert estimate_noise(x).tolist() == [0, 0]
+    model = make_model("ffdnet", **SMALL["ffdnet"])
+    np.testing.assert_array_equal(run(model, x), run(model, x, jnp.zeros(2)))
 
 
 def plain_neighbors(x, patch, stride, window, count):

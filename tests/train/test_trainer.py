@@ -4,6 +4,7 @@ import contextlib
 import csv
 import dataclasses
 import fcntl
+import hashlib
 import os
 import resource
 import shutil
@@ -12,17 +13,19 @@ import socket
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
+from orbax.checkpoint.checkpoint_manager import future
 from PIL import Image
 
 from jaxisp.errors import InputError
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.train import TrainConfig, load_denoiser, train
-from jaxisp.train.checkpoints import Checkpoints, fingerprint
+from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.folder import begin
-from jaxisp.train.logs import read_rows
+from jaxisp.train.logs import Log, read_rows
 from jaxisp.train.step import LOSSES
 from tests.conftest import smooth_image
 
@@ -72,6 +75,20 @@ def curve(run):
     return [(row["step"], row["loss"], row["grad_norm"], row["lr"]) for row in read_rows(run / "log.csv")]
 
 
+def saved(run):
+    """Steps of the checkpoints that there are, without cleaning up as a trainer does."""
+    return Checkpoints(run, reading=True).steps()
+
+
+def fingerprint(state):
+    """A digest of every bit of a state, to compare runs by."""
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree.leaves_with_path(state):
+        digest.update(str(path).encode())
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()
+
+
 def test_a_run_is_recorded(config, whole):
     assert whole.finished and whole.step == 4 and whole.devices.startswith("2 x ")
     assert TrainConfig.load(whole.run / "config.toml") == config
@@ -97,7 +114,7 @@ def test_a_run_is_recorded(config, whole):
 
 def test_interrupted_and_resumed_is_the_uninterrupted_run(config, whole, stopped, tmp_path):
     run = shutil.copytree(stopped, tmp_path / "run")
-    assert Checkpoints(run).steps() == [2] and curve(run) == curve(whole.run)[:2]
+    assert saved(run) == [2] and curve(run) == curve(whole.run)[:2]
     assert "stopped before its end" in (run / "MODEL_CARD.md").read_text()
     with (run / "log.csv").open("a") as file:  # rows of steps that were lost, and one cut off
         file.write("3,0,9.9,9.9,9.9,1\n4,0,")
@@ -124,6 +141,13 @@ def test_a_finished_run_that_is_resumed_stays(config, whole):
     assert again.finished and fingerprint(again.state) == fingerprint(whole.state)
 
 
+def test_a_run_whose_photographs_are_not_there_leaves_its_folder_free(config, tmp_path):
+    with pytest.raises(InputError):
+        train(dataclasses.replace(config, clean=(str(tmp_path / "nothing"),)), tmp_path / "run")
+    assert not (tmp_path / "run" / "config.toml").exists()
+    assert train(dataclasses.replace(config, steps=1), tmp_path / "run").finished
+
+
 def test_two_runs_into_one_folder_are_refused(config, tmp_path):
     with (tmp_path / ".lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -131,29 +155,86 @@ def test_two_runs_into_one_folder_are_refused(config, tmp_path):
             train(config, tmp_path)
 
 
-def test_a_full_disk_is_one_error_and_the_last_checkpoint_stands(config, stopped, tmp_path):
-    run = shutil.copytree(stopped, tmp_path / "run")
+@contextlib.contextmanager
+def largest_file(size):
+    """No file of more bytes can be written."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, limits[1]))  # a checkpoint has files larger than this
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
-        with pytest.raises(InputError, match=r"step 3 cannot be written.*step 2 is intact"):
-            train(config, run, resume=True)
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert load_denoiser(run, "last")[1] == config and Checkpoints(run).steps() == [2]
+
+
+def test_a_full_disk_is_one_error_and_the_last_checkpoint_stands(config, stopped, tmp_path, capfd):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    with largest_file(6000), pytest.raises(InputError, match=r"step 3 cannot be written.*step 2 is intact"):
+        train(config, run, resume=True)
+    assert not capfd.readouterr().err
+    assert load_denoiser(run, "last")[1] == config and saved(run) == [2]
+
+
+def test_a_disk_that_fills_up_within_a_checkpoint_is_one_error(whole, tmp_path, caplog, monkeypatch):
+    async def fill_up():
+        raise OSError("full")
+
+    def save(step, args):
+        (folder / f"{step}.orbax-checkpoint-tmp").mkdir()
+        future.CommitFuture(fill_up()).result()  # orbax's thread logs it, too
+
+    store, folder = Checkpoints(tmp_path), tmp_path / "checkpoints" / "last"
+    monkeypatch.setattr(store._managers["last"], "save", save)
+    with pytest.raises(InputError, match=r"step 4 cannot be written \(full\); there is none yet"):
+        store.save(whole.state, None)
+    assert not list(folder.iterdir()) and not caplog.records
+
+
+def test_a_log_on_a_full_disk_is_one_error(tmp_path, capfd, monkeypatch):
+    row = {"step": 1, "epoch": 0, "loss": 1.0, "grad_norm": 1.0, "lr": 1.0, "images_per_second": 1.0}
+    log, events = Log(tmp_path, 0), next((tmp_path / "tensorboard").iterdir())
+    log.steps([row])
+    assert b"train/loss" in events.read_bytes()  # written before the call returns
+    file = log._events._writer._py_recordio_writer._writer
+    with open("/dev/full", "wb") as full:
+        os.dup2(full.fileno(), file.fileno())
+        monkeypatch.setattr("tensorboardX.record_writer.open_file", lambda path: full)
+        for call in (lambda: log.steps([row]), log.close, lambda: Log(tmp_path, 0)):
+            with pytest.raises(InputError, match="tensorboard: cannot be written: no space left"):
+                call()
+        with pytest.raises(OSError):
+            full.close()  # what could not be written is still with it
+    assert not capfd.readouterr().err
+
+
+def test_reading_a_run_leaves_what_its_trainer_is_writing(whole, stopped, tmp_path):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    written = run / "checkpoints" / "last" / "9.orbax-checkpoint-tmp"
+    written.mkdir()
+    load_denoiser(run, "last")
+    assert written.is_dir()
+    Checkpoints(run).save(whole.state, None)  # as a trainer, before which whoever was writing is dead
+    assert not written.exists()
+
+
+def test_reading_a_run_without_checkpoints_makes_none(stopped, tmp_path):
+    run = shutil.copytree(stopped, tmp_path / "run")
+    shutil.rmtree(run / "checkpoints")
+    with pytest.raises(InputError, match="no last checkpoint that can be read"):
+        load_denoiser(run)
+    assert not (run / "checkpoints").exists()
 
 
 def test_a_loss_that_is_no_number_stops_before_a_checkpoint(config, tmp_path, monkeypatch):
     monkeypatch.setitem(LOSSES, "l2", lambda x: x * np.nan)
     with pytest.raises(InputError, match="the loss is nan at step 1"):
         train(dataclasses.replace(config, loss="l2"), tmp_path)
-    assert not Checkpoints(tmp_path).steps()
+    assert not saved(tmp_path)
 
 
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(config, whole):
     run = whole.run.parent / "damaged"
     shutil.copytree(whole.run, run)
-    assert Checkpoints(run).steps() == [3, 4]
+    assert saved(run) == [3, 4]
     shutil.rmtree(run / "checkpoints" / "last" / "4" / "state")
     rest = train(config, run, resume=True)
     assert fingerprint(rest.state) == fingerprint(whole.state)
@@ -180,7 +261,7 @@ def test_a_kill_within_a_checkpoint_loses_no_good_one(config, whole, stopped, tm
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert any("3" in p.name for p in (run / "checkpoints" / "last").iterdir())  # it was being written
-    assert Checkpoints(run).steps() == [2]
+    assert saved(run) == [2]
     rest = train(config, run, resume=True)
     assert fingerprint(rest.state) == fingerprint(whole.state)
     assert curve(run) == curve(whole.run)
@@ -191,7 +272,7 @@ def test_two_processes_give_the_curve_of_one(config, whole, tmp_path):
     """One is told where to meet, the other finds it in what Slurm sets."""
     run, port = tmp_path / "run", slurm_port()
     run.mkdir()
-    begin(run, config, RECIPES["awgn"](), resume=False)
+    begin(run, config, RECIPES["awgn"]())
     command = [sys.executable, "-m", "jaxisp", "train", "-o", run, "--resume", "--cpu-devices", "1"]
     told = ["--coordinator", f"localhost:{port}", "--processes", "2", "--process-id", "0"]
     slurm = {
