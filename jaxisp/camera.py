@@ -13,6 +13,7 @@ import numpy as np
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
 from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, signature, stage
+from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
@@ -99,7 +100,7 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
         (H, W, 3) float32 encoded sRGB in [0, 1], turned upright.
 
     Raises:
-        InputError: the camera does not turn a mosaic into encoded sRGB.
+        InputError: the camera does not turn a mosaic into encoded sRGB, or draws some of its parameters.
     """
     camera = camera or standard_camera()
     chain = with_cfa(camera.chain, raw.cfa)
@@ -108,6 +109,9 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}; "
             "developing needs mosaic into encoded sRGB"
         )
+    for name, own in camera.prior.items():
+        if any(map(is_distribution, jax.tree.leaves(own, is_leaf=is_distribution))):
+            raise InputError(f"camera {camera.name!r}: {name} is drawn at random; developing needs numbers")
     whole = Chain((chain, stage("clip", name=DISPLAY)), chain.name)
     params = {**params_for(camera, raw), DISPLAY: Clip()}
     return orient(np.asarray(run_in_strips(whole, params, shaded_mosaic(raw), key)), raw.orientation)

@@ -7,6 +7,7 @@ Work is done in linear light, as there; what goes in and comes out is encoded sR
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from jaxisp.errors import InputError
@@ -131,7 +132,7 @@ def find_recipe(name: str) -> Recipe:
     """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none."""
     if name in RECIPES:
         return RECIPES[name]()
-    if not name.endswith(".toml"):
+    if not name.endswith(".toml") and not Path(name).is_file():
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
 

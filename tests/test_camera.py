@@ -10,6 +10,7 @@ from jaxisp.camera import develop, params_for, shaded_mosaic, standard_camera, w
 from jaxisp.errors import InputError
 from jaxisp.io import read_raw
 from jaxisp.pipeline import Chain, Gate, Shuffle, run, stage
+from jaxisp.priors import Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene, write_pairs
@@ -99,6 +100,13 @@ def test_a_frame_is_developed_in_strips(raw):
 def test_a_recipe_for_photographs_develops_nothing(raw):
     with pytest.raises(InputError, match="needs mosaic into encoded sRGB"):
         develop(raw, RECIPES["awgn"]())
+
+
+def test_a_camera_that_is_drawn_develops_nothing(raw):
+    camera = standard_camera()
+    drawn = dataclasses.replace(camera.prior["exposure"], exposure_ev=Uniform(-1.0, 1.0))
+    with pytest.raises(InputError, match="exposure is drawn at random"):
+        develop(raw, Recipe(camera.chain, camera.prior | {"exposure": drawn}))
 
 
 def test_a_camera_goes_to_toml_and_back(raw, tmp_path):

@@ -83,6 +83,27 @@ def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photog
     np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.parametrize(
+    ("recipe", "message"),
+    [
+        ('stages = [{ stage = "rounding", options = { bits = "eight" } }]', "bits must be int, got 'eight'"),
+        ('stages = [{ stage = "rounding", options = { bits = 0 } }]', "bits must be in 1..16"),
+        ('stages = [{ stage = "gaussian_noise", name = 5 }]', "name must be text"),
+        ('stages = [{ stage = "spline_curve" }]\nparams.spline_curve.offsets = [0.1]', "spline_curve"),
+        (
+            'stages = [{ stage = "gaussian_noise" }]\nparams.gaussian_noise.std.normal = [0.1, 0, 0, 0.2]',
+            "std must be positive",
+        ),
+    ],
+)
+def test_a_recipe_that_cannot_run_is_one_line_and_status_2(capsys, photographs, tmp_path, recipe, message):
+    (tmp_path / "r.toml").write_text(recipe)
+    arguments = ("degrade", photographs, "-o", tmp_path / "out", "--recipe", tmp_path / "r.toml")
+    status, out, err = run(capsys, *arguments)
+    assert status == 2 and not out and err.count("\n") == 1 and message in err
+    assert not (tmp_path / "out").exists()
+
+
 def test_degrade_is_what_the_recipe_does(capsys, photographs, tmp_path):
     assert run(capsys, "degrade", photographs / "p2.png", "-o", tmp_path / "o", "--recipe", "awgn")[0] == 0
     clean = np.asarray(Image.open(photographs / "p2.png"), np.float32) / 255
@@ -149,6 +170,12 @@ def test_unusable_input_is_one_line_and_status_2(capsys, photographs, tmp_path, 
         (
             "develop x -o y --camra z",
             "jaxisp develop: unknown: --camra (is it --camera?); see jaxisp develop --help",
+        ),
+        ("effects --bogus", "jaxisp effects: unknown: --bogus; see jaxisp effects --help"),
+        ("develop a b -o c.png", "jaxisp develop: unknown: b; see jaxisp develop --help"),
+        (
+            "demo --seed -1",
+            "jaxisp demo: argument --seed: -1 is not from 0 to 4294967295; see jaxisp demo --help",
         ),
         ("data list --jsn", "jaxisp data list: unknown: --jsn (is it --json?); see jaxisp data list --help"),
         (

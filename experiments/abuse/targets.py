@@ -36,7 +36,7 @@ def _jpeg(path: Path) -> None:
 
 def _settings(path: Path) -> None:
     file = SettingsFile(path.parent)
-    file.of("a", "a.f01")
+    file.of("a.f01")
 
 
 def _recipe(path: Path) -> None:

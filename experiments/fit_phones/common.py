@@ -31,7 +31,9 @@ def framed(size: int = SIZE) -> dict[str, np.ndarray]:
 def fitted(name: str, folder: str | Path, **options: Any) -> FitResult:
     """The fit of a folder; one of that name that was stopped goes on where it was."""
     journal = Path(tempfile.gettempdir()) / f"fit-phones-{name}.partial"
-    return fit_dataset(folder, journal=journal, **options)
+    result = fit_dataset(folder, journal=journal, **options)
+    journal.unlink(missing_ok=True)
+    return result
 
 
 @contextmanager

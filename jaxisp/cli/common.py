@@ -21,7 +21,7 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             options = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(unknown[0].split("=")[0], options, 1)
-            self.error(f"unknown: {unknown[0]}" + f" (is it {close[0]}?)" * bool(close))
+            self.error(f"unknown: {unknown[0]}" + (f" (is it {close[0]}?)" if close else ""))
         return known, unknown
 
 
@@ -30,7 +30,7 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """A subcommand with the options that all have."""
     command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
-    command.add_argument("--seed", type=int, default=0, help="seed of all that is random (default 0)")
+    command.add_argument("--seed", type=seed, default=0, help="seed of all that is random (default 0)")
     if prints:
         command.add_argument("--json", action="store_true", help="print JSON and nothing else")
     command.set_defaults(run=run)
@@ -42,6 +42,14 @@ def positive(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return value
+
+
+def seed(text: str) -> int:
+    """argparse type: an integer that makes a key of its own."""
+    value = int(text)
+    if not 0 <= value < 2**32:
+        raise argparse.ArgumentTypeError(f"{text} is not from 0 to {2**32 - 1}")
     return value
 
 

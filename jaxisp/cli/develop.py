@@ -21,11 +21,13 @@ def run(arguments: Namespace) -> int:
     from jaxisp.camera import develop
     from jaxisp.errors import InputError
     from jaxisp.io import read_raw, write_png
-    from jaxisp.recipe import Recipe
+    from jaxisp.recipe import Recipe, check_traces
 
     if not arguments.out.lower().endswith(".png"):
         raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
     camera = Recipe.load(arguments.camera) if arguments.camera else None
+    if camera:
+        check_traces(camera)
     raw = read_raw(arguments.raw)
     picture = develop(raw, camera, jax.random.key(arguments.seed))
     write_png(arguments.out, picture)

@@ -1,6 +1,7 @@
 """`jaxisp evaluate`: PSNR and SSIM of a trained run on clean+noisy pairs."""
 
 import functools
+import sys
 from argparse import Namespace
 from typing import Any
 
@@ -41,6 +42,10 @@ def run(arguments: Namespace) -> int:
             denoise, arguments.dataset, light=arguments.light, crop=arguments.crop, tick=tick
         )
     failed = result["failed"]
+    for pair in result["pairs"]:
+        if not pair["aligned"]:
+            told = "where the clean picture lies cannot be told; it was left as it is"
+            print(f"jaxisp: {pair['name']}: {told}", file=sys.stderr)
     if arguments.json:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]
         print_json({**result, "model": config.model, "failed": reasons})

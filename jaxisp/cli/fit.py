@@ -2,7 +2,6 @@
 
 import sys
 from argparse import Namespace
-from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
@@ -46,6 +45,7 @@ def run(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.fit import prior_from_cameras
+    from jaxisp.fit.journal import beside
     from jaxisp.fit.report import write_report
 
     join(arguments)
@@ -57,6 +57,7 @@ def run(arguments: Namespace) -> int:
         prior_from_cameras([result.camera]).save(arguments.recipe)
     if arguments.report:
         write_report(result, arguments.report)
+    beside(arguments.out).unlink(missing_ok=True)
     for pair in result.pairs:
         for note in pair.notes:
             print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
@@ -70,10 +71,10 @@ def run(arguments: Namespace) -> int:
 def _fitted(arguments: Namespace) -> Any:
     from jaxisp.fit import fit_dataset
     from jaxisp.fit.journal import beside
-    from jaxisp.io import output_folder
+    from jaxisp.io import output_file, output_folder
 
     for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
-        output_folder(Path(path).parent)
+        output_file(path)
     if arguments.report:
         output_folder(arguments.report)
     with progress("fitting") as tick:

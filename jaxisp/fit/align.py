@@ -17,6 +17,8 @@ from jaxisp.io.orientation import INVERSE, orient
 PATCH = 30.0  # px whose normalised values are about as good as one independent one
 _CHANCE = 5.0  # standard deviations that are not reached by chance
 _ALIKE = 0.2  # what different scenes reach by being built alike (a bright sky, an upright figure)
+_PLAIN = 0.9  # a correlation that no other orientation is better than by
+_BETTER = 0.15
 SCALE_DEVIATION = 0.01  # how far the scales of two pictures of one size differ, a priori
 
 
@@ -74,7 +76,7 @@ def same_scene(alignment: Alignment, shape: tuple[int, ...]) -> bool:
             a true pair that is noisy may not stand out from it.
     """
     factor = factors(shape, shape)[0]
-    return float(alignment.correlation) > max(_chance(shape[0] * shape[1] / factor**2), _ALIKE)
+    return bool(alignment.correlation > max(_chance(shape[0] * shape[1] / factor**2), _ALIKE))
 
 
 def warp(image: jax.Array, alignment: Alignment, shape: tuple[int, ...] | None = None) -> jax.Array:
@@ -119,6 +121,22 @@ def best_orientation(reference: np.ndarray, moving: np.ndarray) -> int:
     still, moved = luma("reference", reference), luma("moving", moving)
     factor = factors(still.shape, moved.shape)[0]
     return max(INVERSE, key=lambda orientation: _search(still, orient(moved, orientation), factor)[1])
+
+
+def turned_place(reference: np.ndarray, moving: np.ndarray, place: Alignment) -> tuple[Alignment, int]:
+    """Where `moving` lies if it was turned or mirrored, and the EXIF orientation that turns it back.
+
+    Args:
+        place: where it lies as it is. It stays, with orientation 1, unless another is clearly better: scenes
+            may be about symmetric, and noisy ones hardly alike.
+    """
+    if float(place.correlation) > _PLAIN:
+        return place, 1
+    orientation = best_orientation(reference, moving)
+    other = estimate(reference, orient(moving, orientation)) if orientation != 1 else place
+    better = float(other.correlation) > float(place.correlation) + _BETTER
+    smaller = min(np.shape(reference)[:2], np.shape(moving)[:2])
+    return (other, orientation) if better and same_scene(other, smaller) else (place, 1)
 
 
 class _Place(NamedTuple):

@@ -68,8 +68,9 @@ def fit_examples(
             The camera gets their mean.
         fixed: parameters that stay where they start.
         starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
-        journal: a file for what is done, from which a stopped fit goes on; removed when the fit is done.
-            One process at a time; of several that fit together all read it and the first writes it.
+        journal: a file for what is done, from which a stopped fit goes on. It stays, so that a result that
+            cannot be saved is not lost: the caller deletes it then. One process at a time; of several that
+            fit together all read it and the first writes it.
         mesh: devices of one kind, along one axis, that the tiles are spread over; also those of other
             processes (`jax.distributed`), which must call this with the same pairs. All get the result.
         tick: called with (done, total, text).
@@ -110,9 +111,7 @@ def _fitted(
         search = Search([s for _, s in shots], options, Journal.open(None, ""), tick, mesh)
         outcome = search.finish(outcome.design, _without(outcome, bad), "without flagged pairs")
         pairs = _measured(outcome, shots)
-    result = _result(outcome, [s for _, s in shots], pairs, time.perf_counter() - clock, failed, book.resumed)
-    book.remove()
-    return result
+    return _result(outcome, [s for _, s in shots], pairs, time.perf_counter() - clock, failed, book.resumed)
 
 
 def _check(options: Options) -> None:

@@ -60,11 +60,6 @@ class Journal:
         if self.path is not None and self.writes:
             write_text(self.path, json.dumps({"print": self.print, "jobs": self.entries}))
 
-    def remove(self) -> None:
-        """The fit is done."""
-        if self.path is not None and self.writes:
-            self.path.unlink(missing_ok=True)
-
 
 @contextlib.contextmanager
 def alone(path: str | Path | None) -> Iterator[None]:

@@ -12,6 +12,7 @@ from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene
 from jaxisp.fit.lens import Lens, radial
+from jaxisp.fit.planes import SMALLEST
 from jaxisp.io import Jpeg, Raw, orient
 from jaxisp.io.orientation import INVERSE
 from jaxisp.pipeline import Chain, run, stage
@@ -61,6 +62,11 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     guess = np.asarray(_encoded(np.asarray(camera_rgb) / np.float32(bright)))
     picture, orientation, notes = example.picture, 1, []
     same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
+    if min(*picture.shape[:2], *guess.shape[:2]) < SMALLEST:
+        raise InputError(
+            f"{example.name}: the JPEG has {picture.shape[1]}x{picture.shape[0]} px and the RAW "
+            f"{guess.shape[1]}x{guess.shape[0]}; expected {SMALLEST} or more a side"
+        )
     alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
     if not same_scene(alignment, picture.shape) or float(alignment.correlation) < 0.6:
         found = INVERSE[best_orientation(picture, guess)]

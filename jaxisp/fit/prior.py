@@ -69,8 +69,10 @@ def prior_from_cameras(
     if not loaded:
         raise InputError("a prior needs at least one camera")
     for camera in loaded:
-        if camera.chain.domain_in.name != "mosaic" or "exposure" not in camera.prior:
-            raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: it takes no mosaic")
+        missing = {"exposure", "unsharp_mask"} - set(camera.prior)
+        if camera.chain.domain_in.name != "mosaic" or missing:
+            why = f"it has no {' and no '.join(sorted(missing))}" if missing else "it takes no mosaic"
+            raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: {why}")
     first = loaded[0]
     kept = [node for node in first.chain.nodes if node.name not in (*LEFT_OUT, JPEG)]
     encoder = next((c for c in loaded if JPEG in c.prior), None)
@@ -122,10 +124,11 @@ def _nodes(kept: Sequence[Node], cfa: str, encoded: bool) -> list[Node]:
         stage("shot_read_noise"),
         stage("mosaic_white_balance", cfa=cfa),
     ]
-    sharpen, *jpeg = output
+    jpeg = [node for node in output if node.name == JPEG]
+    picture = [node for node in output if node.name != JPEG]
     return [
         *start, *raw, stage("exposure"), stage("clip", name="display_clip"), stage("srgb_oetf"),
-        *denoise, sharpen, stage("clip", name="output_clip"), stage("rounding"), *jpeg,
+        *denoise, *picture, stage("clip", name="output_clip"), stage("rounding"), *jpeg,
     ]  # fmt: skip
 
 

@@ -1,6 +1,5 @@
 """Data sets on disk: which files belong together, what dataset.toml says of them, and reading a pair."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +13,12 @@ from jaxisp.io.jpeg import Jpeg, decode_jpeg, read_jpeg
 from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.orientation import orient, unorient
 from jaxisp.io.raw import RAW_SUFFIXES, Raw, read_raw
-from jaxisp.io.settings import Settings, SettingsFile
+from jaxisp.io.settings import Settings, SettingsFile, scene_and_frame
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _CLEAN_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 _NOISY_SUFFIXES = (".png", ".npy", ".jpg", ".jpeg")
-_FRAME = re.compile(r"(.+)\.f(\d{2,})")
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,8 @@ class Pair:
     def load(self) -> Loaded:
         """Read both files; InputError names the one that is bad."""
         raw = read_raw(self.raw, self.settings.raw) if self.raw else None
-        clean = read_image(self.clean) if self.clean else None
+        linear = self.settings.clean_encoding == "linear"
+        clean = read_image(self.clean, linear=linear) if self.clean else None
         embedded = self.output == self.raw
         jpeg = self._jpeg()
         if raw is not None:
@@ -117,7 +116,7 @@ def open_dataset(folder: PathLike, *, kind: str | None = None) -> Dataset:
         raise InputError(f"{folder}: is empty, expected a data set of pairs")
     stems = _by_stem(files)
     settings = SettingsFile(folder)
-    settings.check_stems({s for stem in stems for s in (stem, _scene(stem)[0])})
+    settings.check_stems(stems)
     found = {RAW_JPEG: _raw_pairs(stems), CLEAN_NOISY: _clean_pairs(stems)}
     kind = kind or _kind(folder, found)
     if kind not in found:
@@ -125,7 +124,7 @@ def open_dataset(folder: PathLike, *, kind: str | None = None) -> Dataset:
     if not found[kind][0]:
         raise InputError(f"{folder}: holds no {kind} pair{_first(found[kind][1])}")
     pairs, problems = found[kind]
-    settled = tuple(replace(p, settings=settings.of(*dict.fromkeys((p.scene, p.name)))) for p in pairs)
+    settled = tuple(replace(p, settings=settings.of(p.name)) for p in pairs)
     return Dataset(folder, kind, settled, tuple(problems), settings.common)
 
 
@@ -178,14 +177,8 @@ def _role(name: str) -> tuple[str, str] | None:
     return (stem, "png") if suffix == ".png" else None
 
 
-def _scene(stem: str) -> tuple[str, int | None]:
-    """A stem without its frame, and the frame."""
-    frame = _FRAME.fullmatch(stem)
-    return (frame[1], int(frame[2])) if frame else (stem, None)
-
-
 def _pair(stem: str, output: Path, raw: Path | None = None, clean: Path | None = None) -> Pair:
-    return Pair(stem, *_scene(stem), output, raw, clean, Settings())
+    return Pair(stem, *scene_and_frame(stem), output, raw, clean, Settings())
 
 
 def _raw_pairs(stems: Mapping[str, Mapping[str, Path]]) -> Found:
@@ -220,7 +213,7 @@ def _clean_pairs(stems: Mapping[str, Mapping[str, Path]]) -> Found:
     used = set()
     for stem, files in sorted(stems.items()):
         output = files.get("noisy", files.get("jpeg"))
-        scene = next((s for s in (stem, _scene(stem)[0]) if "clean" in stems.get(s, {})), None)
+        scene = next((s for s in (stem, scene_and_frame(stem)[0]) if "clean" in stems.get(s, {})), None)
         if output and scene is not None:
             used.add(scene)
             pairs.append(_pair(stem, output, clean=stems[scene]["clean"]))

@@ -207,6 +207,15 @@ def output_folder(path: PathLike) -> Path:
     return path
 
 
+def output_file(path: PathLike) -> Path:
+    """Make the folder of a file that is to be written; InputError where it cannot be."""
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected the name of a file")
+    output_folder(path.parent)
+    return path
+
+
 def list_folder(folder: PathLike, *, recursive: bool = False) -> list[Path]:
     """The visible files of a folder, sorted; InputError where it cannot be listed."""
     folder = Path(folder)

@@ -34,16 +34,21 @@ _MODES = {
 }  # fmt: skip
 
 
-def read_image(path: PathLike) -> np.ndarray:
+_LIGHT = -1.0, 64.0
+"""What linear light may reach: noise below black, six stops above white."""
+
+
+def read_image(path: PathLike, *, linear: bool = False) -> np.ndarray:
     """Read a clean photograph.
 
     Args:
         path: PNG (8 bits), JPEG, TIFF (8 or 16 bits, or float) or NPY (uint8, uint16, or float in [0, 1]),
             in colour and without transparency.
+        linear: whether it holds linear light, whose floats may be below 0 and above 1.
 
     Returns:
-        (H, W, 3) float32 in [0, 1], as encoded, upright, converted to sRGB where the file has another
-        colour profile (8-bit files; NPY has none).
+        (H, W, 3) float32 in [0, 1] (unless it is linear), as encoded, upright, converted to sRGB where the
+        file has another colour profile (8-bit files; NPY has none).
 
     Raises:
         InputError: it cannot be read, is damaged, or is another kind of picture.
@@ -51,12 +56,12 @@ def read_image(path: PathLike) -> np.ndarray:
     path = check_file(path)
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        return _read_npy(path)
+        return _read_npy(path, linear)
     data = read_bytes(path)
     if data[:2] == b"\xff\xd8":
         return np.ascontiguousarray(decode_jpeg(data, str(path)).upright)
     if data[:4] in (b"II*\0", b"MM\0*"):
-        return _read_tiff(path, data)
+        return _read_tiff(path, data, linear)
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return _read_png(path, data)
     raise InputError(f"{path}: is not a picture jaxisp reads ({', '.join(IMAGE_SUFFIXES)}), or a damaged one")
@@ -122,14 +127,15 @@ def _rgb(picture: Any, path: Path) -> np.ndarray:
     raise InputError(f"{path}: is {_MODES.get(picture.mode, picture.mode)}, expected an RGB picture")
 
 
-def _read_tiff(path: Path, data: bytes) -> np.ndarray:
+def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
     try:
         with quiet_tifffile(), tifffile.TiffFile(io.BytesIO(data)) as tif:
             page: Any = tif.pages[0]
             kind, bits, samples = page.dtype, page.bitspersample, page.samplesperpixel
             photometric, deep = int(page.photometric), page.dtype is not None and page.dtype.itemsize > 1
             orientation = int(page.tags[274].value) if 274 in page.tags else 1
-            wanted = deep and photometric == 2 and samples == 3 and len(page.shape) == 3
+            whole = kind is not None and bits == 8 * kind.itemsize
+            wanted = deep and whole and photometric == 2 and samples == 3 and len(page.shape) == 3
             if wanted:
                 check_pixels(
                     page.imagewidth, page.imagelength, len(data), str(path), bytes_each=3 * kind.itemsize
@@ -151,25 +157,27 @@ def _read_tiff(path: Path, data: bytes) -> np.ndarray:
         pixels = np.moveaxis(pixels, 0, -1)
     if pixels.shape[-1] != 3 or 0 in pixels.shape:
         raise InputError(f"{path}: is a TIFF of shape {pixels.shape}, expected (H, W, 3)")
-    scaled = _to_unit(pixels, path, str(kind))
+    scaled = _to_unit(pixels, path, str(kind), linear)
     return np.ascontiguousarray(orient(scaled, orientation if 1 <= orientation <= 8 else 1))
 
 
-def _read_npy(path: Path) -> np.ndarray:
+def _read_npy(path: Path, linear: bool) -> np.ndarray:
     array = load_npy(path)
     if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
         raise InputError(f"{path}: has shape {array.shape}, expected (H, W, 3)")
-    return _to_unit(array, path, str(array.dtype))
+    return _to_unit(array, path, str(array.dtype), linear)
 
 
-def _to_unit(array: np.ndarray, path: Path, kind: str) -> np.ndarray:
-    """Integers divided by their largest value, floats checked to lie in [0, 1]."""
+def _to_unit(array: np.ndarray, path: Path, kind: str, linear: bool) -> np.ndarray:
+    """Integers divided by their largest value; floats checked to lie in [0, 1], linear light about there."""
     if array.dtype in (np.uint8, np.uint16):
         return array.astype(np.float32) / np.float32(np.iinfo(array.dtype).max)
     if array.dtype.kind != "f":
         raise InputError(f"{path}: holds {kind}, expected uint8, uint16 or float")
     check_finite(str(path), array)
     low, high = float(array.min()), float(array.max())
-    if low < -1e-6 or high > 1 + 1e-6:
-        raise InputError(f"{path}: holds values from {low:g} to {high:g}, expected [0, 1]")
-    return np.clip(array, 0, 1).astype(np.float32)
+    least, most = _LIGHT if linear else (-1e-6, 1 + 1e-6)
+    if low < least or high > most:
+        wanted = "linear light whose white is 1" if linear else "[0, 1]"
+        raise InputError(f"{path}: holds values from {low:g} to {high:g}, expected {wanted}")
+    return array.astype(np.float32) if linear else np.clip(array, 0, 1).astype(np.float32)

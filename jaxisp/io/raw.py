@@ -17,10 +17,11 @@ from jaxisp.io.calibration import (
     usable,
     white_xy,
 )
-from jaxisp.io.description import RawDescription, describe
-from jaxisp.io.files import PathLike, check_file, load_npy, read_toml
+from jaxisp.io.description import RawDescription
+from jaxisp.io.files import PathLike, check_file, load_npy
 from jaxisp.io.libraw import camera_crop, check_bayer, opened, white_gains
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain
+from jaxisp.io.settings import SettingsFile
 
 RAW_SUFFIXES = (
     ".dng", ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos",
@@ -90,8 +91,9 @@ def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
 
     Args:
         path: any Bayer RAW that LibRaw opens.
-        description: overrides what the file states. A `.npy`, or a `.raw` without a header (which LibRaw
-            knows by nothing but its size), must have one: by default `[raw]` in the dataset.toml beside it.
+        description: overrides what the file states; by default `[raw]` of the dataset.toml beside it, and
+            that of the file's own stem. A `.npy`, or a `.raw` without a header (which LibRaw knows by nothing
+            but its size), must have one.
 
     Raises:
         InputError: it cannot be read, is damaged or truncated, or is no Bayer mosaic (X-Trans,
@@ -101,7 +103,7 @@ def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
     is_npy = path.suffix.lower() == ".npy"
     bare = is_npy or _is_headerless(path)
     if description is None:
-        description = _described_beside(path) if bare else RawDescription()
+        description = _described_beside(path, bare)
     if bare and description.cfa is None:
         raise InputError(f"{path}: states no colour filters, and [raw] in {description.source} has no cfa")
     if is_npy:
@@ -122,13 +124,15 @@ def _is_headerless(path: Path) -> bool:
         return path.suffix.lower() == ".raw" and file.read(2) not in (b"II", b"MM")
 
 
-def _described_beside(path: Path) -> RawDescription:
+def _described_beside(path: Path, bare: bool) -> RawDescription:
     source = path.parent / "dataset.toml"
-    if not source.is_file():
+    if bare and not source.is_file():
         raise InputError(
             f"{path}: needs a dataset.toml beside it whose [raw] states the cfa, black and white"
         )
-    return describe(read_toml(source).get("raw", {}), str(source))
+    name = path.name.lower()
+    stem = path.name[: -len(".raw.npy")] if name.endswith(".raw.npy") else path.stem
+    return SettingsFile(path.parent).of(stem).raw or RawDescription(source=str(source))
 
 
 def _check_magic(path: Path) -> None:

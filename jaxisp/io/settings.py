@@ -1,6 +1,7 @@
 """dataset.toml: what it states of a folder's pairs, for all and by stem."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,14 @@ from typing import Any
 from jaxisp.errors import InputError
 from jaxisp.io.description import RawDescription, describe
 from jaxisp.io.files import read_toml, short
+
+_FRAME = re.compile(r"(.+)\.f(\d{2,})")
+
+
+def scene_and_frame(stem: str) -> tuple[str, int | None]:
+    """A stem without its frame, and the frame."""
+    frame = _FRAME.fullmatch(stem)
+    return (frame[1], int(frame[2])) if frame else (stem, None)
 
 
 @dataclass(frozen=True)
@@ -47,15 +56,17 @@ class SettingsFile:
                 self._overrides.update(_stems(key, value))
         self.common = self.of()
 
-    def check_stems(self, stems: set[str]) -> None:
+    def check_stems(self, stems: Iterable[str]) -> None:
         """Raise InputError where a table is the name of no file."""
+        known = {name for stem in stems for name in (stem, scene_and_frame(stem)[0])}
         for stem in self._overrides:
-            if stem not in stems:
+            if stem not in known:
                 raise InputError(f"{self.source}: [{stem}] names no files of this folder")
 
-    def of(self, *stems: str) -> Settings:
-        """The settings for all, overridden by those of each stem in turn."""
+    def of(self, stem: str = "") -> Settings:
+        """The settings for all, overridden by those of the stem's scene, and these by its own."""
         merged: dict[str, Any] = {}
+        stems = dict.fromkeys((scene_and_frame(stem)[0], stem))
         for where, table in (("", self._common), *((f"[{s}] ", self._overrides.get(s, {})) for s in stems)):
             _check(table, f"{self.source}: {where}")
             for key, value in table.items():

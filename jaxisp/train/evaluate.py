@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError
-from jaxisp.fit.align import Alignment, covered, estimate, same_scene, warp
+from jaxisp.fit.align import Alignment, covered, estimate, same_scene, turned_place, warp
 from jaxisp.io import open_dataset
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.orientation import orient
 from jaxisp.metrics import match_moments, psnr, ssim
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
@@ -140,8 +141,8 @@ def _aligned(pair: Loaded, crop: int | None) -> AlignedPair:
     clean, noisy = pair.clean, pair.picture
     assert clean is not None, "a clean+noisy pair has one"
     linear = srgb_eotf(jnp.asarray(clean)) if pair.settings.clean_encoding == "srgb" else jnp.asarray(clean)
-    place, trusted = _align(pair.name, noisy, np.asarray(srgb_oetf(linear)))
-    area = _rectangle(np.asarray(covered(place, clean.shape, noisy.shape)), crop)
+    linear, place, trusted = _align(pair.name, noisy, linear)
+    area = _rectangle(np.asarray(covered(place, linear.shape, noisy.shape)), crop)
     if min(s.stop - s.start for s in area) < 16:
         raise InputError(f"{pair.name}: the clean picture covers too little of the noisy one")
     laid = np.asarray(warp(linear, place, noisy.shape)[area])
@@ -159,15 +160,18 @@ def _around(noisy: np.ndarray, area: tuple[slice, slice]) -> tuple[np.ndarray, t
     return np.ascontiguousarray(noisy[rows, columns]), (inner[0], inner[1])
 
 
-def _align(name: str, noisy: np.ndarray, clean: np.ndarray) -> tuple[Alignment, bool]:
-    """Where the clean picture lies; left where it is if that cannot be told."""
+def _align(name: str, noisy: np.ndarray, linear: jax.Array) -> tuple[jax.Array, Alignment, bool]:
+    """The clean picture, turned as the noisy one where it is not, and where it lies; left as it is where that
+    cannot be told."""
+    encoded = np.asarray(srgb_oetf(linear))
     try:
-        place = estimate(noisy, clean)
+        place, orientation = turned_place(noisy, encoded, estimate(noisy, encoded))
     except ValueError as error:
         raise InputError(f"{name}: {error}") from None
-    if same_scene(place, min(noisy.shape, clean.shape)):
-        return place, True
-    return Alignment(correlation=place.correlation), False
+    linear = jnp.asarray(orient(np.asarray(linear), orientation))
+    if same_scene(place, min(noisy.shape, encoded.shape)):
+        return linear, place, True
+    return linear, Alignment(correlation=place.correlation), False
 
 
 def _rectangle(inside: np.ndarray, crop: int | None) -> tuple[slice, slice]:

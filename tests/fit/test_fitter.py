@@ -230,6 +230,8 @@ def test_one_bad_pair_does_not_stop_the_others(tmp_path, capsys):
     (tmp_path / "broken.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes()[:3000])
     (tmp_path / "broken.jpg").write_bytes((tmp_path / "astronaut.jpg").read_bytes())
     (tmp_path / "alone.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes())
+    (tmp_path / "tiny.dng").write_bytes((tmp_path / "astronaut.dng").read_bytes())
+    Image.new("RGB", (8, 8)).save(tmp_path / "tiny.jpg")
     out = tmp_path / "out" / "camera.toml"
     call = ["fit", str(tmp_path), "-o", str(out), "--steps", "2", "--demosaic", "demosaic_malvar"]
     call += ["--median", "none", "--recipe", str(tmp_path / "prior.toml"), "--json"]
@@ -240,8 +242,14 @@ def test_one_bad_pair_does_not_stop_the_others(tmp_path, capsys):
     assert not out.with_name("camera.toml.partial").exists()
     assert Recipe.load(tmp_path / "prior.toml").chain.domain_out.name == "encoded sRGB"
     lines = errors.strip().splitlines()
-    assert len(lines) == 2
+    assert len(lines) == 3
     assert all(sum(f"{name}.dng" in line for line in lines) == 1 for name in ("broken", "alone"))
+    assert sum("tiny: the JPEG has 8x8 px" in line for line in lines) == 1
+
+
+def test_a_folder_for_an_output_is_refused_before_the_fit(folder, tmp_path, capsys):
+    assert main(["fit", str(folder), "-o", str(tmp_path)]) == 2
+    assert "is a folder, expected the name of a file" in capsys.readouterr().err
 
 
 def test_the_report_is_one_file_without_requests(result, tmp_path):

@@ -7,14 +7,16 @@ import jax
 import numpy as np
 import pytest
 
+from jaxisp.camera import standard_camera
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import prior_from_cameras
 from jaxisp.generate import degrade_files
 from jaxisp.io import write_png
-from jaxisp.pipeline import Chain
+from jaxisp.pipeline import Chain, stage
 from jaxisp.recipe import Recipe
 from jaxisp.samples import scene
+from jaxisp.stages.choice import ChromaSubsampling
 from tests.fit.test_fitter import psnr
 
 
@@ -47,6 +49,23 @@ def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys
     np.testing.assert_allclose(recipe.prior["mosaic_white_balance"].gains, stated["gains"][0], rtol=1e-6)
     with pytest.raises(InputError, match="at least one camera"):
         prior_from_cameras([])
+
+
+def test_chroma_is_halved_before_the_picture_is_rounded(result):
+    """A camera whose file stated no tables halves chroma itself."""
+    nodes = list(result.camera.chain.without("jpeg_tables").nodes)
+    at = [node.name for node in nodes].index("unsharp_mask") + 1
+    nodes.insert(at, stage("chroma_subsampling"))
+    prior = {k: v for k, v in result.camera.prior.items() if k != "jpeg_tables"}
+    halving = {"chroma_subsampling": ChromaSubsampling(horizontal=np.float32(1), vertical=np.float32(1))}
+    recipe = prior_from_cameras([Recipe(Chain(tuple(nodes)), prior | halving, meta=result.camera.meta)])
+    names = [node.name for node in recipe.chain.nodes]
+    assert names[-3:] == ["chroma_subsampling", "output_clip", "rounding"]
+
+
+def test_a_camera_that_does_not_sharpen_is_no_camera_of_a_fit():
+    with pytest.raises(InputError, match="is no camera from `jaxisp fit`: it has no unsharp_mask"):
+        prior_from_cameras([standard_camera()])
 
 
 def test_a_prior_says_which_camera_its_stages_are_of(result):

@@ -129,6 +129,9 @@ def test_refused_pictures(tmp_path):
     refused(tmp_path / "a.tif", "CMYK")
     tifffile.imwrite(tmp_path / "b.tif", np.zeros((8, 8), np.uint16))
     refused(tmp_path / "b.tif", "1 samples of 16 bits")
+    deep = np.full((8, 8, 3), 4095, np.uint16)
+    tifffile.imwrite(tmp_path / "c.tif", deep, photometric="rgb", bitspersample=12)
+    refused(tmp_path / "c.tif", "3 samples of 12 bits")
     tifffile.imwrite(tmp_path / "c.tif", np.full((8, 8, 3), np.nan, np.float32), photometric="rgb")
     refused(tmp_path / "c.tif", "NaN")
 

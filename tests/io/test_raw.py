@@ -184,6 +184,15 @@ def test_npy(tmp_path):
     assert raw.white_balanced
 
 
+def test_what_dataset_toml_states_of_one_stem_is_read(tmp_path):
+    text = '[raw]\ncfa = "GRBG"\nwhite = 200\n[a.raw]\nwhite = 100\n[b.raw]\nblack = 8\n'
+    raw = read_raw(described(tmp_path, np.full((4, 6), 50, np.uint16), text))
+    np.testing.assert_array_equal(raw.mosaic, np.float32(0.5))
+    raw = read_raw(dng(tmp_path / "b.dng", np.full((64, 64), 104, np.uint16), black=(0,)))
+    np.testing.assert_array_equal(raw.mosaic, np.float32(0.5))
+    assert raw.cfa == "GRBG"
+
+
 @pytest.mark.parametrize(
     ("array", "text", "words"),
     [
@@ -199,7 +208,7 @@ def test_npy(tmp_path):
         (np.zeros((4, 4)), '[raw]\ncfa = "RGGB"\nwhite_balance = [1, 0, 1]', "white_balance"),
         (np.zeros((4, 4)), '[raw]\ncfa = "RGGB"\nwhite_balanced = 1', "white_balanced"),
         (np.zeros((4, 4)), '[raw\ncfa = "RGGB"', "line 1"),
-        (np.zeros((4, 4)), "raw = 3", "[raw]"),
+        (np.zeros((4, 4)), "raw = 3", "raw = 3, expected a table"),
     ],
 )
 def test_bad_npy(tmp_path, array, text, words):

@@ -62,6 +62,25 @@ def test_displaced_clean_pictures_are_aligned(dataset):
     json.dumps(result)
 
 
+@pytest.mark.parametrize("turn", [lambda a: a[::-1, ::-1], np.rot90])
+def test_a_clean_picture_that_is_turned_is_turned_back(dataset, turn):
+    upright = by_name(evaluate_dataset(lambda x: x, dataset))["a"]
+    np.save(dataset / "a.clean.npy", turn(np.load(dataset / "a.clean.npy")))
+    turned = by_name(evaluate_dataset(lambda x: x, dataset))["a"]
+    assert turned["aligned"] and turned["psnr"] == pytest.approx(upright["psnr"], abs=0.01)
+
+
+def test_linear_light_may_be_below_black_and_above_white(dataset, tmp_path):
+    (dataset / "dataset.toml").write_text('clean_encoding = "linear"\n')
+    for name in "ab":
+        clean = np.load(dataset / f"{name}.clean.npy").astype(float) ** 2.2
+        np.save(dataset / f"{name}.clean.npy", 1.5 * clean - 0.02)
+    result = evaluate_dataset(lambda x: x, dataset)
+    assert not result["failed"] and all(row["aligned"] for row in result["pairs"])
+    np.save(dataset / "a.clean.npy", np.full((110, 124, 3), 4000.0))
+    assert "linear light whose white is 1" in evaluate_dataset(lambda x: x, dataset)["failed"][0][1]
+
+
 def test_a_crop_is_the_middle_of_the_picture(dataset):
     row = by_name(evaluate_dataset(lambda x: x, dataset, crop=20, light="encoded"))["a"]
     middle = np.s_[45:65, 52:72]
