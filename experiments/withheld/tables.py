@@ -81,7 +81,7 @@ def both_found(record: Record) -> bool:
 def taken_up(record: Record) -> bool:
     """The baseline took the effect up, and the report says so or finds nothing missing."""
     name = truth(record)[0]
-    said = record["status"].get(name) == "absorbed" or record["absorbed"].get(name, 0) > 0.5
+    said = record["status"].get(name) == "absorbed" or (record["absorbed"].get(name) or 0) > 0.5
     return not named(record) and (said or record["verdict"] == "none")
 
 

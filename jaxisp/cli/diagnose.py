@@ -5,7 +5,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, print_table, progress
+from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
 
 
 def add_commands(commands: Any) -> None:
@@ -30,12 +30,14 @@ def add_commands(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     from jaxisp.gap import Downstream, diagnose
     from jaxisp.io import output_folder
-    from jaxisp.recipe import Recipe
+    from jaxisp.recipe import Recipe, check_traces
     from jaxisp.recipes import find_recipe
 
     output_folder(Path(arguments.out))  # a fault here should not cost a diagnosis
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     recipe = find_recipe(arguments.recipe) if arguments.recipe else None
+    for simulator in filter(None, (camera, recipe)):
+        check_traces(simulator)
     exclude = [name for name in arguments.exclude.split(",") if name]
     how = Downstream(arguments.downstream_steps, keep=Path(arguments.out) / "downstream.json")
     with progress("diagnosing") as tick:
@@ -54,7 +56,7 @@ def run(arguments: Namespace) -> int:
         print_json(found.report)
     else:
         _print(found, page)
-    return 0
+    return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 
 def _warn(report: dict[str, Any]) -> None:
@@ -62,6 +64,8 @@ def _warn(report: dict[str, Any]) -> None:
 
     if few_pairs(report):
         print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
+    for pair in report["pairs"]["left_out"]:
+        print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
 
 
 def _print(found: Any, page: Path) -> None:

@@ -66,7 +66,7 @@ class StatisticsProblem:
         self._weights, self._counted = weights(), np.ones_like(weights())
         self._emphasis: np.ndarray | None = None
         self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
-        self._known: dict[bytes, tuple[Model, tuple[np.ndarray, np.ndarray]]] = {}
+        self._known: dict[tuple[int, bytes], tuple[Model, tuple[np.ndarray, np.ndarray]]] = {}
         self.fresh: Sequence[int] = told_by_noise(model)
         self.real = self.measured(self.target)
         self.floors = np.ones(len(pairs.names))
@@ -95,13 +95,12 @@ class StatisticsProblem:
     def _seen(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, F) statistics and (N, T) tones of a simulated set, these and the mean's statistics without the
         effects that are noise: where a pattern has its pixels is chance, and the same in all pictures."""
-        model, found = self._known.get(z.tobytes(), (None, None))
-        if found is None or model is not self.model:
-            found = self._looked_at(z)
+        key = id(self.model), z.tobytes()
+        if key not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.clear()
-            self._known[z.tobytes()] = self.model, found
-        return found
+            self._known[key] = self.model, self._looked_at(z)  # held on to, so that an id stays its own
+        return self._known[key][1]
 
     def _looked_at(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         picture, still = self.picture(z), self.model.still(z)

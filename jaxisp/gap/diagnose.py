@@ -12,9 +12,10 @@ from jaxisp.errors import InputError
 from jaxisp.gap import prepare
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
-from jaxisp.gap.frame import in_one_frame
+from jaxisp.gap.frame import Laid, in_one_frame
 from jaxisp.gap.measured import Case, Downstream, Gap, Rows, Split
 from jaxisp.gap.model import Model
+from jaxisp.gap.noisy_pairs import on_each_other
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
@@ -92,14 +93,14 @@ def diagnose(
     clock = time.perf_counter()
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
-    case, failed = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
+    case, laid = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
     problem, first = case.problem, case.split.held_out[0]
     gap = gap_at(case)
     pictures = _pictures(problem, first, "before")
     base = problem.model, problem.z.copy()
     found = searched(case, gap, tick)
     report = _report(case, gap, found, base[0])
-    report["pairs"]["failed"] = [{"file": name, "reason": reason} for name, reason in failed]
+    report["pairs"] |= _laid(laid, case.strays)
     if downstream is not None:
         report["downstream"] = _trained(case, base, found, downstream, tick)
     none = {"after": None, "residual_after": None}
@@ -108,11 +109,24 @@ def diagnose(
     return Diagnosis(report, pictures)
 
 
+def _laid(laid: Laid, strays: Sequence[str]) -> dict[str, Any]:
+    """What was done to the pairs, and which are not among those that were fitted or held out."""
+    rows = {row["name"]: row for row in laid.rows}
+    return {
+        "aligned": [row for name, row in rows.items() if name not in strays],
+        "left_out": [
+            {"name": name, "reason": _STRAY if rows[name]["certain"] else _TWO_SCENES} for name in strays
+        ],
+        "failed": [{"file": name, "reason": reason} for name, reason in laid.failed],
+    }
+
+
 def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
     """report.json, but for the seconds and what could not be used."""
     problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
     after = found.causes[-1][0].after if found.causes else gap.before
+    known = dict.fromkeys((*case.absorbed, *problem.model.effects))
     causes = [cause_row(t, alike, len(case.offered), problem.model) for t, alike in found.causes]
     return {
         "schema": 1,
@@ -129,7 +143,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
         } | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
-        "ranking": ranking_rows(found.causes, found.trials, found.promises, case.absorbed, gap.scale),
+        "ranking": ranking_rows(found.causes, found.trials, found.promises, known, gap.scale),
         "where": list(found.before.where) if there else [],
         "unexplained": _unexplained(found, after, gap),
         "seconds": 0.0,
@@ -144,8 +158,8 @@ def _case(
     exclude: Sequence[str],
     seed: int,
     tick: Tick,
-) -> tuple[Case, list[tuple[str, str]]]:
-    """The pairs read and the base put before them; and (file, reason) of what could not be used."""
+) -> tuple[Case, Laid]:
+    """The pairs read, laid on each other and the base put before them; with all that could not be used."""
     found = open_dataset(dataset)
     if found.kind == RAW_JPEG and recipe is not None:
         raise InputError(
@@ -156,22 +170,23 @@ def _case(
             f"{dataset}: denoisers (--downstream) are measured against clean pictures, which RAW+JPEG pairs "
             "do not have; give clean+noisy pairs"
         )
-    loaded, failed = _load(found.pairs)
+    read, failed = _load(found.pairs)
+    failed = [(path.name, f"{path}: {reason}") for path, reason in found.problems] + failed
+    laid = in_one_frame(read) if found.kind == RAW_JPEG else on_each_other(read)
+    laid = laid._replace(failed=failed + laid.failed)
+    loaded = 2 * laid.kept if len(laid.kept) == 1 else laid.kept  # one's tiles are told apart by masks
     if found.kind == RAW_JPEG:
-        loaded, unlike = in_one_frame(loaded)
-        failed += unlike
-    if len(loaded) == 1:
-        loaded = 2 * loaded  # its tiles are told apart by masks
-    if found.kind == RAW_JPEG:
-        return raw_case(loaded, camera, exclude, halves(len(loaded)), tick), failed
+        return raw_case(loaded, camera, exclude, halves(len(loaded)), tick), laid
     from jaxisp.gap.noisy_case import clean_case
 
     is_camera = camera is not None
-    case = clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera)
-    return case, failed + [(name, _LEFT_OUT) for name in case.strays]
+    doubted = [row["name"] for row in laid.rows if not row["certain"]]
+    case = clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera, doubted=doubted)
+    return case, laid
 
 
-_LEFT_OUT = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
+_TWO_SCENES = "its two pictures are hardly alike, and far from what fits the others: they show two scenes"
+_STRAY = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
 
 
 def _trained(
@@ -198,12 +213,24 @@ def _load(pairs: Sequence[Any]) -> tuple[list[Loaded], list[tuple[str, str]]]:
     loaded, failed = [], []
     for pair in pairs:
         try:
-            loaded.append(pair.load())
+            loaded.append(_large_enough(pair.load()))
         except InputError as error:
             failed.append((pair.name, str(error)))
     if not loaded:
         raise InputError("; ".join(reason for _, reason in failed))
     return loaded, failed
+
+
+def _large_enough(pair: Loaded) -> Loaded:
+    first = pair.clean if pair.raw is None else pair.raw.mosaic
+    sizes = [a.shape[:2] for a in (first, pair.picture) if a is not None]
+    for height, width in sizes:
+        if min(height, width) < prepare.SMALLEST:
+            wanted = f"{prepare.SMALLEST} or more a side"
+            raise InputError(
+                f"{pair.name}: {width}x{height} px are too few to be diagnosed, expected {wanted}"
+            )
+    return pair
 
 
 def halves(count: int) -> Split:

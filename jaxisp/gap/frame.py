@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,28 +15,42 @@ from jaxisp.gap.residual import BORDER
 from jaxisp.io.datasets import Loaded
 
 _STRETCH = 0.75  # px at the border by which two scales may differ and count as one
-_UNLIKE = 0.1  # a correlation that even noisy or flat pairs of one scene reach
+_UNLIKE = 0.1  # a correlation that even flat pairs of one scene reach
 _ALIKE = 0.4  # what most pairs of a set reach that is neither
 
 
-def scene_of(pair: Loaded) -> np.ndarray:
-    """The half of a pair that comes first: (H, W) mosaic, or (H, W, 3) clean."""
-    first = pair.clean if pair.raw is None else shaded_mosaic(pair.raw)
-    assert first is not None
-    return np.asarray(first)
+class Laid(NamedTuple):
+    """Pairs whose halves were laid on each other.
+
+    Attributes:
+        kept: the pairs.
+        failed: (name, reason) of those that are none.
+        rows: what was done, for report.json: by how much the picture was found off the other file.
+    """
+
+    kept: list[Loaded]
+    failed: list[tuple[str, str]]
+    rows: list[dict[str, Any]]
 
 
-def placed(scene: np.ndarray, picture: np.ndarray) -> Alignment:
-    """Where the picture lies on the scene; a mosaic is seen through the means of its 2x2 cells."""
-    if scene.ndim == 3:
-        return estimate(scene, picture)
-    cell = scene[:-1, :-1] + scene[1:, :-1] + scene[:-1, 1:] + scene[1:, 1:]
+def row(
+    name: str, off: Sequence[Any], done: str, *, certain: bool, scale: Sequence[Any] = (1.0, 1.0)
+) -> dict[str, Any]:
+    """One of `Laid.rows`: about its middle the picture's details lie `off` (rows, columns) px from where the
+    other file has them, `scale` times as far apart; whether the two surely show one scene."""
+    shift, scales = ([round(float(v), digits) + 0.0 for v in own] for own, digits in ((off, 2), (scale, 4)))
+    return {"name": name, "shift_px": shift, "scale": scales, "done": done, "certain": certain}
+
+
+def _placed(mosaic: np.ndarray, picture: np.ndarray) -> Alignment:
+    """Where the picture lies on the mosaic, seen through the means of its 2x2 cells."""
+    cell = mosaic[:-1, :-1] + mosaic[1:, :-1] + mosaic[:-1, 1:] + mosaic[1:, 1:]
     # one fewer and half a pixel later than the pixels: about the same centre
     return estimate(np.sqrt(np.clip(cell, 0, None)), picture)
 
 
-def in_one_frame(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[str, str]]]:
-    """Pairs whose halves have one size, and (name, reason) of those left out.
+def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
+    """RAW+JPEG pairs whose halves have one size.
 
     A picture of another size is laid where it belongs: cut, or resampled where its scale is another. One of
     the same size is moved by whole pixels, at most as far as the border that is not counted; what is not a
@@ -45,58 +59,58 @@ def in_one_frame(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[str
     Raises:
         InputError: no pair is left.
     """
-    found = [placed(scene_of(pair), pair.picture) for pair in loaded]
-    usual = float(np.median([f.correlation for f in found]))
-    kept: list[Loaded] = []
-    failed = []
-    for pair, place in zip(loaded, found):
-        scene = scene_of(pair)
-        other_size = scene.shape[:2] != pair.picture.shape[:2]
-        doubtful = not same_scene(place, pair.picture.shape)
-        if doubtful and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
+    mosaics = [shaded_mosaic(pair.raw) for pair in loaded if pair.raw is not None]
+    places = [_placed(mosaic, pair.picture) for mosaic, pair in zip(mosaics, loaded)]
+    usual = float(np.median([place.correlation for place in places]))
+    laid = Laid([], [], [])
+    for pair, mosaic, place in zip(loaded, mosaics, places):
+        off, scale = (place.dy, place.dx), (place.scale_y, place.scale_x)
+        other_size = mosaic.shape != pair.picture.shape[:2]
+        certain = same_scene(place, pair.picture.shape)
+        if not certain and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
             reason = f"the two files do not show one scene: their correlation is {place.correlation:.2f}"
-            failed.append((pair.name, f"{pair.name}: {reason}"))
-            continue
-        if other_size:
-            kept.append(_cut(pair, scene, place, kept[0].raw.cfa if kept and kept[0].raw else None))
+            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+        elif other_size:
+            first = laid.kept[0].raw if laid.kept else None
+            found, done = _cut(pair, mosaic, place, first.cfa if first else None)
+            laid.kept.append(found)
+            laid.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
+        elif certain:
+            move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in off]
+            laid.kept.append(dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1))))
+            done = "moved" if any(move) else "nothing"
+            laid.rows.append(row(pair.name, off, done, certain=True, scale=scale))
         else:
-            kept.append(_moved(pair, place))
-    if not kept:
-        raise InputError("; ".join(reason for _, reason in failed))
-    return kept, failed
+            laid.kept.append(pair)
+            laid.rows.append(row(pair.name, (0, 0), "nothing", certain=False))
+    if not laid.kept:
+        raise InputError("; ".join(reason for _, reason in laid.failed))
+    return laid
 
 
-def _moved(pair: Loaded, place: Alignment) -> Loaded:
-    if not same_scene(place, pair.picture.shape):
-        return pair
-    move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in (place.dy, place.dx)]
-    return dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1)))
-
-
-def _cut(pair: Loaded, scene: np.ndarray, place: Alignment, cfa: str | None) -> Loaded:
-    """Both halves cut to what they share; a mosaic starts at a site that gives it the pattern wanted."""
-    picture, sizes = pair.picture, np.array(scene.shape[:2])
+def _cut(pair: Loaded, mosaic: np.ndarray, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
+    """Both halves cut to what they share, and what that took; the mosaic starts at a site that gives it the
+    pattern wanted."""
+    assert pair.raw is not None
+    picture, sizes = pair.picture, np.array(mosaic.shape)
     stretch = max(abs(s - 1) * n / 2 for s, n in zip((place.scale_y, place.scale_x), sizes))
     if stretch > _STRETCH:
-        picture, offsets = np.asarray(warp(jnp.asarray(picture), place, scene.shape[:2])), [0, 0]
+        picture, offsets = np.asarray(warp(jnp.asarray(picture), place, mosaic.shape)), [0, 0]
     else:
         centres = (np.array(picture.shape[:2]) - sizes) / 2
         offsets = [round(float(c + d)) for c, d in zip(centres, (place.dy, place.dx))]
     starts = [max(0, -o) for o in offsets]
     stops = [min(n, m - o) for n, m, o in zip(sizes, picture.shape, offsets)]
-    if pair.raw is not None and cfa is not None:
+    if cfa is not None:
         starts = next(
             [starts[0] + y, starts[1] + x]
             for y in (0, 1) for x in (0, 1)
             if shifted(pair.raw.cfa, starts[0] + y, starts[1] + x) == cfa
         )  # fmt: skip
-    of_scene = tuple(slice(a, b) for a, b in zip(starts, stops))
+    of_mosaic = tuple(slice(a, b) for a, b in zip(starts, stops))
     of_picture = tuple(slice(a + o, b + o) for a, b, o in zip(starts, stops, offsets))
-    halves: dict[str, Any] = {"picture": picture[of_picture]}
-    if pair.raw is None:
-        halves["clean"] = scene[of_scene]
-    else:
-        halves["raw"] = dataclasses.replace(
-            pair.raw, mosaic=scene[of_scene], gain_map=None, cfa=shifted(pair.raw.cfa, *starts)
-        )
-    return dataclasses.replace(pair, **halves)
+    raw = dataclasses.replace(
+        pair.raw, mosaic=mosaic[of_mosaic], gain_map=None, cfa=shifted(pair.raw.cfa, *starts)
+    )
+    done = "resampled" if stretch > _STRETCH else "cut"
+    return dataclasses.replace(pair, raw=raw, picture=picture[of_picture]), done

@@ -106,7 +106,7 @@ class Case:
 
     Attributes:
         floors: (N,) the gap of each pair that a right simulator would leave.
-        absorbed: what the base took up of each effect that is part of it.
+        absorbed: what the base took up of each effect that is part of it; None where that was not measured.
         offered: effects that are tried.
         stored: what the file does to the pictures, where grain is to be told from it.
         given: what the base is, where it was given; None where a plain one was fitted.
@@ -120,7 +120,7 @@ class Case:
     problem: Any
     split: Split
     floors: np.ndarray
-    absorbed: Mapping[str, float]
+    absorbed: Mapping[str, float | None]
     offered: list[str]
     stored: np.ndarray | None = None
     given: str | None = None

@@ -215,6 +215,7 @@ def build(
     for effect in effects:
         if effect.name not in present:
             shared[effect.name] = _off(shared[effect.name], effect.moves)
+            shared[f"use_{effect.name}"] = Switch(on=np.float32(0))
     return Model(chain, tuple(free), coordinates, shared | dict(params), per_pair)
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.gap import noisy_phase, prepare
+from jaxisp.gap.absorbed import noise_taken_up, taken_up
 from jaxisp.gap.clean_noisy import StatisticsProblem
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import CLEAN_NOISY, Effect
@@ -28,12 +29,12 @@ from jaxisp.pipeline import Params, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
-_ABSORBED = ("tone_curve", "color_matrix", "white_balance", "black_level_offset", "noise_level")
-"""What the plain base takes up."""
 _SMOOTHING = 2.0
 _STRAY = 12.0
 """How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
 were fitted to few colours say nothing of others."""
+_UNLIKE_PAIR = 4.0
+"""Likewise, of the median of all, where the two halves of a pair are hardly alike: they show two scenes."""
 _PASSES = 3
 """How often pairs may be moved to a pattern that all have: the first is that of a mixture."""
 _UNLIKE = 0.25
@@ -48,6 +49,7 @@ def clean_case(
     tick: Tick,
     *,
     is_camera: bool = False,
+    doubted: Sequence[str] = (),
 ) -> Case:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics.
 
@@ -63,6 +65,7 @@ def clean_case(
         seed: of the simulated noise.
         tick: called with (done, total, text).
         is_camera: whether the simulator takes a mosaic, not an encoded picture.
+        doubted: names of pairs whose halves may not show one scene.
 
     Raises:
         InputError: no usable pair, an unknown effect, a simulator that cannot be a base.
@@ -76,10 +79,10 @@ def clean_case(
     tick(0, 3, "fitting the base")
     cfa = described.cfa if described else None
     camera, mean = fit_mean(file, pairs, split.fit, cfa)
-    strays = _strays(mean, split)
+    strays = _strays(mean, split, doubted)
     kept = [p for p in loaded if p.name not in strays]
     if 1 < len(kept) < len(loaded):
-        case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera)
+        case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera, doubted=doubted)
         return dataclasses.replace(case, strays=(*strays, *case.strays))
     stated = {"jpeg_quantization"} if file is not None else set()
     if file is not None and file.subsampling != "4:4:4":
@@ -125,11 +128,16 @@ def _laid_alike(
     return case, mean
 
 
-def _strays(mean: Problem, split: Split) -> tuple[str, ...]:
-    """The held-out pairs that the colours and tones of the fitted ones do not carry over to."""
-    errors = mean.errors(mean.z)
+def _strays(mean: Problem, split: Split, doubted: Sequence[str]) -> tuple[str, ...]:
+    """The held-out pairs that the colours and tones of the fitted ones do not carry over to, and of all those
+    that may be of two scenes."""
+    errors, names = mean.errors(mean.z), mean.pairs.names
     usual = float(np.median(errors[list(split.fit)]))
-    return tuple(mean.pairs.names[i] for i in split.held_out if errors[i] > _STRAY * usual)
+    far = [names[i] for i in split.held_out if errors[i] > _STRAY * usual]
+    unlike = [
+        n for n, error in zip(names, errors) if n in doubted and error > _UNLIKE_PAIR * np.median(errors)
+    ]
+    return tuple(dict.fromkeys((*far, *unlike)))
 
 
 def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
@@ -158,9 +166,12 @@ def plain_case(
         model, mean.pairs, to_steps(mean.rendered(mean.z)), split, seen, choices, seed
     )
     tick(0, 3, "fitting the noise")
+    before = model.shared["balanced_noise"]
     fit_noise(problem, split.fit, rebased)
-    offered = [e.name for e in effects if e.name not in _ABSORBED]
-    taken = dict.fromkeys(_ABSORBED, 0.0)
+    plain = camera.mean_model({}).shared
+    taken = taken_up(mean, split.fit, mean.model.moved(mean.z), plain)
+    taken["noise_level"] = noise_taken_up(problem, split.fit, before)
+    offered = [e.name for e in effects if e.name not in taken]
     return Case(CLEAN_NOISY, problem, split, problem.floors, taken, offered, seen=shown)
 
 
@@ -180,7 +191,7 @@ def _given(
     fit_open(problem, given.open, split.fit)
     problem.model = given.rebased(problem.model, problem.z)
     fit_noise(problem, split.fit, given.rebased)
-    taken = dict.fromkeys(absorbed, 0.0)
+    taken = dict.fromkeys(absorbed)  # not measured
     about, names = given.about, tuple(sorted(given.fitted))
     floors = problem.floors
     return Case(CLEAN_NOISY, problem, split, floors, taken, offered, None, about, names, seen=shown)

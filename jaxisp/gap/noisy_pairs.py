@@ -9,11 +9,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.color import srgb_to_linear
-from jaxisp.fit.align import Alignment, estimate, same_scene, warp
+from jaxisp.errors import InputError
+from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
 from jaxisp.gap import prepare
+from jaxisp.gap.frame import Laid, row
 from jaxisp.gap.measured import Split
 from jaxisp.gap.residual import BORDER, Pairs
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.orientation import orient
 
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
 
@@ -40,14 +43,57 @@ def by_scene(values: np.ndarray, names: Sequence[str]) -> np.ndarray:
     scenes = [scene_name(name) for name in names]
     most = max(scenes.count(s) for s in scenes)
     found = np.full((len(set(scenes)), most), np.nan)
-    for row, scene in enumerate(dict.fromkeys(scenes)):
+    for at, scene in enumerate(dict.fromkeys(scenes)):
         own = [float(v[0]) for v, s in zip(values, scenes) if s == scene]
-        found[row, : len(own)] = own
+        found[at, : len(own)] = own
     return found
 
 
+def on_each_other(loaded: Sequence[Loaded]) -> Laid:
+    """The pairs cut to one size, each clean picture, made linear, laid under its noisy one, turned as it is.
+    A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
+    whether it is.
+
+    Raises:
+        InputError: no pair is left, or the largest size that all have is too small.
+    """
+    laid = Laid([], [], [])
+    frames: dict[str, Loaded] = {}
+    turned = set()
+    for pair in loaded:
+        own = _framed(pair)
+        if own is None:
+            own = _framed(_turned(pair, best_orientation(pair.picture, _light(_linear(pair)))))
+            turned.add(pair.name)
+        if own is not None:
+            frames[pair.name] = own
+        else:
+            sizes = [f"{a.shape[1]}x{a.shape[0]} px" for a in (np.asarray(pair.clean), pair.picture)]
+            reason = (
+                f"the clean picture has {sizes[0]}, the noisy one {sizes[1]}; crop them to the same frame"
+            )
+            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+    if not frames:
+        raise InputError("; ".join(reason for _, reason in laid.failed))
+    whole = {pair.name: pair for pair in loaded}
+    for pair, crop in zip(frames.values(), prepare.common_crop([*frames.values()])):
+        own, place = _cropped(pair, crop)
+        orientation = turned_place(own.picture, _light(np.asarray(own.clean)), place)[1]
+        upright = _framed(_turned(whole[pair.name], orientation)) if orientation != 1 else None
+        if upright is not None:
+            own, place = _cropped(upright, crop)
+            turned.add(pair.name)
+        clean, done = _laid_under(np.asarray(own.clean), own.picture, place)
+        laid.kept.append(dataclasses.replace(own, clean=clean))
+        off = (0, 0) if done == "nothing" else (-place.dy, -place.dx)
+        done = "turned" if pair.name in turned else done
+        certain = same_scene(place, own.picture.shape)
+        laid.rows.append(row(pair.name, off, done, certain=certain))
+    return laid
+
+
 def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
-    """The pairs, cropped alike and laid on each other; what the file clipped does not count.
+    """The pairs, which have one size and lie on each other; what the file clipped does not count.
 
     Args:
         loaded: as read.
@@ -55,21 +101,20 @@ def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
             A simulator that clips as the camera does must not be compared where the camera's own noise
             happened to clip: its noise is another.
     """
-    loaded = [framed(p) for p in {p.name: p for p in loaded}.values()]
-    crops = prepare.common_crop(loaded)
-    clean = np.stack([_linear(p)[c] for p, c in zip(loaded, crops)])
-    pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
-    clean = np.stack([laid_under(s, p) for s, p in zip(clean, pictures)])
+    loaded = list({p.name: p for p in loaded}.values())
+    clean = np.stack([_linear(p) for p in loaded])
+    pictures = np.stack([p.picture for p in loaded]).astype(np.float32)
     names = tuple(p.name for p in loaded)
     seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
     return prepare.in_halves(Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(seen)))
 
 
-def framed(pair: Loaded) -> Loaded:
-    """The clean picture cut, or continued, by a few pixels to the size of the noisy one, about its middle."""
+def _framed(pair: Loaded) -> Loaded | None:
+    """The clean picture cut, or continued, by a few pixels to the size of the noisy one, about its middle;
+    None where that is not enough."""
     clean, wanted = np.asarray(pair.clean), pair.picture.shape
     if any(abs(a - b) > 2 * BORDER for a, b in zip(clean.shape[:2], wanted[:2])):
-        return pair  # too far apart for that: left for the check of sizes to refuse
+        return None
     for axis in (0, 1):
         missing = wanted[axis] - clean.shape[axis]
         if missing > 0:
@@ -80,21 +125,37 @@ def framed(pair: Loaded) -> Loaded:
     return dataclasses.replace(pair, clean=clean)
 
 
-def laid_under(scene: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """The scene moved to where the picture has its details: the picture keeps its place on the grids of its
-    colour filter array and of its file. By whole pixels where that is about all; another scale is left."""
-    light = np.sqrt(np.clip(scene.mean(-1), 0, None))
-    found = estimate(picture, light)
+def _turned(pair: Loaded, orientation: int) -> Loaded:
+    return dataclasses.replace(pair, clean=np.ascontiguousarray(orient(np.asarray(pair.clean), orientation)))
+
+
+def _cropped(pair: Loaded, crop: tuple[slice, slice]) -> tuple[Loaded, Alignment]:
+    """Both pictures cut, the clean one made linear, and where it lies on the noisy one."""
+    clean, picture = _linear(pair)[crop], pair.picture[crop]
+    settings = dataclasses.replace(pair.settings, clean_encoding="linear")
+    own = dataclasses.replace(pair, picture=picture, clean=clean, settings=settings)
+    return own, estimate(picture, _light(clean))
+
+
+def _light(scene: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.clip(scene.mean(-1), 0, None)))
+
+
+def _laid_under(scene: np.ndarray, picture: np.ndarray, found: Alignment) -> tuple[np.ndarray, str]:
+    """The scene moved to where the picture has its details, and what that took: the picture keeps its place
+    on the grids of its colour filter array and of its file. By whole pixels where that is about all; another
+    scale is left."""
+    light = _light(scene)
     shift = np.array([float(found.dy), float(found.dx)])
     near = np.round(shift)
     move = [-int(v) for v in near]
     moved = np.roll(light, move, (0, 1))
     known = same_scene(found, light.shape) or _likeness(moved, picture) > _likeness(light, picture)
     if np.abs(shift).max() > BORDER or not known:
-        return scene
+        return scene, "nothing"
     if np.abs(shift - near).max() < _PART:
-        return np.roll(scene, move, (0, 1))
-    return np.asarray(warp(jnp.asarray(scene), Alignment(*shift), scene.shape[:2]))
+        return np.roll(scene, move, (0, 1)), "moved" if any(move) else "nothing"
+    return np.asarray(warp(jnp.asarray(scene), Alignment(*shift), scene.shape[:2])), "resampled"
 
 
 def _likeness(light: np.ndarray, picture: np.ndarray) -> float:

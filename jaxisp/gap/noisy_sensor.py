@@ -16,8 +16,9 @@ from jaxisp.stages.choice import DEMOSAICKERS
 
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
 _SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
-_CHROMA = (0.0, 1.3)  # px
+_CHROMA = 1.3  # px
 _CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
+_CLEARLY_SMOOTH = 0.998  # likewise: cameras that do not smooth chroma lose a tenth by it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,33 +44,51 @@ class _View:
         return float(problem.mean_squares(residual).mean())
 
 
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """What is nearest through one view.
+
+    Attributes:
+        view: what the pictures were looked at through.
+        camera: the nearest.
+        error: its own.
+        linear: that of the nearest that demosaicks linear values.
+    """
+
+    view: _View
+    camera: Camera
+    error: float
+    linear: float
+
+
 def find_sensor(
     camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
 ) -> Camera:
     """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft and
     with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
-    what they do at edges, and the softest would stand in for it.
+    what they do at edges, and the softest would stand in for it. Square roots stand in for smooth chroma, so
+    that is asked of linear values.
     """
-    found, pairs = [], pairs.take(fit_on)
-    for chroma in _CHROMA:
-        least = np.inf
-        for sigma in _SOFTNESS:
-            view = _View(_softened(pairs, sigma), chroma)
-            own = _with_pattern(camera, params, view) if any_pattern else camera
-            own = _with_demosaicking(own, params, view)
-            error = view.error(own, params)
-            found.append((error, chroma, sigma, own))
-            if error > least:  # taken to fall as far as the lens is soft, and to rise from there
-                break
-            least = error
-    kept = found[0]
-    for smooth in _CHROMA:  # each lens must be worth it beside those before
-        best = min((f for f in found if f[1] == smooth), key=lambda f: f[:3])
-        kept = best if best[0] <= _CLEARLY_SOFT * kept[0] else kept
-    _, chroma, sigma, camera = kept
-    view = _View(_softened(pairs, sigma), chroma)
-    choices = [dataclasses.replace(camera, share=share) for share in _SHARES]
-    return _refined(_nearest(choices, params, view), params, view)
+    pairs = pairs.take(fit_on)
+    plain, smooth = (_through(chroma, camera, params, pairs, any_pattern) for chroma in (0.0, _CHROMA))
+    found = smooth if smooth.linear <= _CLEARLY_SMOOTH * plain.linear else plain
+    choices = [dataclasses.replace(found.camera, share=share) for share in _SHARES]
+    return _refined(_nearest(choices, params, found.view), params, found.view)
+
+
+def _through(chroma: float, camera: Camera, params: Params, pairs: Pairs, any_pattern: bool) -> _Found:
+    """The nearest with chroma so smooth, through a lens that is soft only where that is worth it."""
+    found: list[_Found] = []
+    for sigma in _SOFTNESS:
+        view = _View(_softened(pairs, sigma), chroma)
+        own = _with_pattern(camera, params, view) if any_pattern else camera
+        linear = _with_demosaicking(own, params, view)
+        own = _on_roots(linear, params, view)
+        found.append(_Found(view, own, view.error(own, params), view.error(linear, params)))
+        if len(found) > 1 and found[-1].error > found[-2].error:
+            break  # taken to fall as far as the lens is soft, and to rise from there
+    best = min(found, key=lambda f: f.error)
+    return best if best.error <= _CLEARLY_SOFT * found[0].error else found[0]
 
 
 def _softened(pairs: Pairs, sigma: float) -> Pairs:
@@ -102,18 +121,24 @@ def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
 
 
 def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
-    """The algorithm, whether on square roots, and whether white is balanced before or after it, and then
-    about by how much."""
+    """The algorithm, on linear values, whether white is balanced before it or after, and by how much."""
     choices = [
         dataclasses.replace(camera, algorithm=name, late=late)
         for name in DEMOSAICKERS
         for late in (False, True)
     ]
-    camera = _nearest(choices, params, view)
+    return _with_gains(_nearest(choices, params, view), params, view)
+
+
+def _on_roots(camera: Camera, params: Params, view: _View) -> Camera:
+    """The camera, or what demosaicks square roots by its algorithm where that is clearly nearer."""
     rooted = [dataclasses.replace(camera, gamma=2.0, late=late) for late in (False, True)]
-    nearest = _nearest(rooted, params, view)
-    if view.error(nearest, params) <= ROOTED * view.error(camera, params):
-        camera = nearest
+    nearest = _with_gains(_nearest(rooted, params, view), params, view)
+    closer = view.error(nearest, params) <= ROOTED * view.error(camera, params)
+    return nearest if closer else camera
+
+
+def _with_gains(camera: Camera, params: Params, view: _View) -> Camera:
     if not camera.late:
         return camera
     grid = [(red, blue) for red in (1.6, 2.0, 2.5) for blue in (1.3, 1.6, 2.0)]

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.errors import InputError
+from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
@@ -21,27 +22,24 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 
-LARGEST = 512
+SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
 
 def common_crop(loaded: Sequence[Loaded]) -> list[tuple[slice, slice]]:
-    """For each pair the middle, of a size that all have, at most 512 px a side."""
-    sizes = []
-    for pair in loaded:
-        first = pair.clean if pair.raw is None else pair.raw.mosaic
-        assert first is not None
-        if first.shape[:2] != pair.picture.shape[:2]:
-            raise InputError(
-                f"{pair.name}: the two pictures are {first.shape[:2]} and {pair.picture.shape[:2]} px; "
-                "crop them to the same frame"
-            )
-        sizes.append(first.shape[:2])
+    """For each pair, whose halves have one size, the middle, of a size that all have, at most 512 px a side.
+
+    Raises:
+        InputError: that is too small to be diagnosed.
+    """
+    sizes = [pair.picture.shape[:2] for pair in loaded]
     size = [min(LARGEST, *(s[axis] for s in sizes)) for axis in (0, 1)]
-    if min(size) < 64:
+    if min(size) < SMALLEST:
+        smallest = min(loaded, key=lambda pair: min(pair.picture.shape[:2])).name
         raise InputError(
-            f"pictures of {size[0]}x{size[1]} px are too small to be diagnosed, expected 64 or more"
+            f"{smallest}: all pairs have {size[1]}x{size[0]} px in common, too few to be diagnosed; expected "
+            f"{SMALLEST} or more a side"
         )
     crops = []
     for shape in sizes:
@@ -91,8 +89,8 @@ class Base(NamedTuple):
 
     Attributes:
         model: the base, with every effect in it, off.
-        absorbed: what the base took up of each effect that is part of it, as a share of what was there before
-            it was fitted.
+        absorbed: what the base took up of each effect that is part of it, as a share of the error that would
+            be there without.
         choices: how it may demosaick besides.
         rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
             them.
@@ -132,12 +130,8 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     linear values or of their square roots."""
     whole = Problem(model, pairs)
     part, seen = whole.take(fit_on), range(len(fit_on))
-    untouched = part.errors(part.z).mean()
     fit(part, model.base_indices, seen, steps=6)
     part.weigh(part.robust_weights(), part.z)
-    error = part.errors(part.z).mean()
-    absorbed = {name: 1 - float(error / untouched) for name in ("tone_curve", "color_matrix")}
-    absorbed |= {name: 0.0 for name in ("white_balance", "black_level_offset")}
     found = choices(model)
     fitted, roots = part.model, [_on_roots(choice) for choice in found]
 
@@ -146,13 +140,14 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
         return float(part.errors(part.z).mean())
 
     errors, of_roots = ([error_of(choice) for choice in some] for some in (found, roots))
-    absorbed["demosaicking"] = 1 - min(errors) / max(errors)
     linear, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
     rooted_best = min(of_roots) < ROOTED * min(errors)
     best, rival = (root, linear) if rooted_best else (linear, None)
     part.model = fitted
     part.choose(best.take(fit_on))
     fit(part, model.base_indices, seen, steps=4)
+    absorbed = taken_up(part, seen, part.model.moved(part.z), model.shared)
+    absorbed["demosaicking"] = 1 - min(errors) / max(errors)
     return Base(model.chosen(best).moved(part.z), absorbed, [*found, root], rival)
 
 

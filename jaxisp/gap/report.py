@@ -271,8 +271,12 @@ def _next(causes: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     base, pairs = report["base"], report["pairs"]
-    absorbed = ", ".join(f"{words(n)} {percent(s)}" for n, s in base["absorbed"].items())
-    failed = "; ".join(f"{f['file']}: {f['reason']}" for f in pairs.get("failed", ()))
+    shares = ((words(n), "" if s is None else f" {percent(s)}") for n, s in base["absorbed"].items())
+    absorbed = ", ".join(name + share for name, share in shares)
+    aside = [f["reason"] for f in pairs.get("failed", ())]
+    aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
+    laid = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
+    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in laid)
     rows = [
         ("simulator", base.get("given", "")),
         ("base", ", ".join(map(words, base["stages"]))),
@@ -280,7 +284,12 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("taken up by it", absorbed or "nothing of note"),
         ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
         ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
-        ("left aside", failed),
+        ("laid on each other", ", ".join(placed)),
+        (
+            "not surely of one scene",
+            ", ".join(p["name"] for p in pairs.get("aligned", ()) if not p["certain"]),
+        ),
+        ("left aside", "; ".join(aside)),
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]

@@ -14,10 +14,15 @@ from jaxisp.pipeline import Gate
 
 
 def base_row(
-    model: Model, absorbed: Mapping[str, float], given: str | None = None, open_nodes: Iterable[str] = ()
+    model: Model,
+    absorbed: Mapping[str, float | None],
+    given: str | None = None,
+    open_nodes: Iterable[str] = (),
 ) -> dict[str, Any]:
     """The base: its stages, its fitted numbers, what it absorbed, and what it is where it was given."""
-    names = {c.node for c in model.base} | {"demosaicking", *open_nodes}
+    names = {c.node for c in model.base} | {*open_nodes}
+    if given is None:
+        names.add("demosaicking")
     fitted = {
         name: {f.name: np.asarray(getattr(model.shared[name], f.name)).tolist()
                for f in dataclasses.fields(model.shared[name])}
@@ -77,12 +82,13 @@ def ranking_rows(
     causes: Sequence[tuple[Trial, list[str]]],
     trials: dict[str, Trial],
     promises: dict[str, float],
-    absorbed: Mapping[str, float],
+    candidates: Iterable[str],
     scale: float,
 ) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
-    possible: it takes pixels no farther away."""
+    possible: it takes pixels no farther away. A candidate that promised nothing, since the base takes it up
+    or the file's header states it, comes last."""
     accepted = {t.effect: t for t, _ in causes}
     alike = {name for _, names in causes for name in names}
     rows = []
@@ -95,4 +101,6 @@ def ranking_rows(
             row |= {"closed": float(trial.closed), "ci": [trial.low, trial.high], "possible": trial.possible}
         rows.append(row)
     rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
-    return rows + [{"effect": n, "closed": 0.0, "status": "absorbed"} for n in absorbed if n not in promises]
+    return rows + [
+        {"effect": n, "closed": 0.0, "status": "absorbed"} for n in candidates if n not in promises
+    ]

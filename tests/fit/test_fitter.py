@@ -133,7 +133,7 @@ def test_a_stopped_fit_goes_on_where_it_was(own, refitted, tmp_path):
     assert path.exists()
     again = []
     resumed = fit_examples([given], **options, journal=path, tick=lambda done, *_: again.append(done))
-    assert resumed.resumed and not refitted.resumed and not path.exists()
+    assert resumed.resumed and not refitted.resumed and path.exists(), "it stays until the result is saved"
     assert len(again) == len(refitted.losses) + 1 - 3  # three were done; one tick more says what is aligned
     for name, values in refitted.camera.prior.items():
         for field, value in vars(values).items():

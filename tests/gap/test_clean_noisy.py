@@ -15,7 +15,7 @@ from jaxisp.gap import EFFECTS, diagnose, noisy_case, noisy_phase
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import MIXING, Camera, noise_freedom, primaries
-from jaxisp.gap.noisy_pairs import clean_pairs, framed, laid_under, split_of
+from jaxisp.gap.noisy_pairs import clean_pairs, on_each_other, split_of
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.gap.prepare import candidates
@@ -147,15 +147,50 @@ def test_frames_of_a_scene_stay_on_one_side():
     assert split_of(["a.f00", "a.f01"]).held_out == (1,)
 
 
+def clean_pair(name, clean, picture):
+    settings = Settings(clean_encoding="linear")
+    return Loaded(
+        name, picture.astype(np.float32), None, None, clean.astype(np.float32), settings, False, None
+    )
+
+
+def textured(seed: int, size=(90, 100)):
+    scene = np.stack([smooth_image(size, seed + k) for k in range(3)], -1)
+    return scene + 0.2 * (np.random.default_rng(seed).random((*size, 1)) > 0.8)
+
+
 def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
-    scene = np.stack([smooth_image((90, 100), k) for k in range(3)], -1).astype(np.float32)
-    scene += 0.2 * (np.random.default_rng(0).random((90, 100, 1)) > 0.8)
+    scene = textured(0)
     picture = np.sqrt(scene)[1:-1, 1:-1]
-    pair = framed(Loaded("a", picture, None, None, scene, Settings(), False, None))
-    np.testing.assert_array_equal(pair.clean, scene[1:-1, 1:-1])
-    moved = np.roll(picture, (2, -3), (0, 1))
-    laid = laid_under(scene[1:-1, 1:-1], moved)
-    np.testing.assert_array_equal(laid[8:-8, 8:-8], np.roll(scene[1:-1, 1:-1], (2, -3), (0, 1))[8:-8, 8:-8])
+    whole, moved = clean_pair("a", scene, picture), np.roll(picture, (2, -3), (0, 1))
+    inner = clean_pair("b", scene[1:-1, 1:-1], moved)
+    (cut, laid), failed, rows = on_each_other([whole, inner])
+    assert failed == []
+    np.testing.assert_array_equal(cut.clean, whole.clean[1:-1, 1:-1])
+    there = np.roll(whole.clean[1:-1, 1:-1], (2, -3), (0, 1))
+    np.testing.assert_array_equal(laid.clean[8:-8, 8:-8], there[8:-8, 8:-8])
+    assert [row["done"] for row in rows] == ["nothing", "moved"]
+    np.testing.assert_allclose(rows[1]["shift_px"], (2, -3), atol=0.3)
+
+
+def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_is_another():
+    scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(4)]
+    noisy = [np.sqrt(scene) for scene in scenes]
+    cleans = [scenes[0], scenes[1][::-1, ::-1], np.rot90(scenes[2]), scenes[3][:60]]
+    kept, failed, rows = on_each_other(
+        [clean_pair(str(k), c, n) for k, (c, n) in enumerate(zip(cleans, noisy))]
+    )
+    assert [row["done"] for row in rows] == ["nothing", "turned", "turned"]
+    assert all(row["certain"] for row in rows)
+    for pair, scene in zip(kept, scenes):
+        np.testing.assert_array_equal(pair.clean, scene.astype(np.float32))
+    assert [name for name, _ in failed] == ["3"] and "100x60 px, the noisy one 100x90" in failed[0][1]
+
+
+def test_a_pair_of_two_scenes_is_not_certain():
+    scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(2)]
+    rows = on_each_other([clean_pair("a", scenes[0], np.sqrt(scenes[1]))]).rows
+    assert [row["certain"] for row in rows] == [False]
 
 
 def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):

@@ -86,8 +86,13 @@ def test_what_is_outside_the_vocabulary_is_not_closed(diagnosed):
 
 def test_the_command_writes_both_files(tmp_path, capsys):
     write(tmp_path / "set", BODY, {"vignetting": 4}, size=128, count=4)
-    assert main(["diagnose", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    (lone := tmp_path / "set" / "lone.jpg").write_bytes(b"")
+    assert main(["diagnose", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--json"]) == 2
+    told = capsys.readouterr()
+    printed = json.loads(told.out)
+    assert f"jaxisp: {lone}: has no RAW file beside it" in told.err, "the rest is diagnosed all the same"
+    assert [f["file"] for f in printed["pairs"]["failed"]] == ["lone.jpg"]
+    assert {row["done"] for row in printed["pairs"]["aligned"]} == {"nothing"}
     assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == printed["verdict"]
     assert "<html" in (tmp_path / "out" / "report.html").read_text()
 

@@ -1,16 +1,33 @@
 """The plain camera of RAW+JPEG pairs finds how the pictures were demosaicked."""
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp.camera import standard_camera
+from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom, rooted
-from jaxisp.gap.prepare import choices, fit_base
-from jaxisp.gap.residual import Pairs
+from jaxisp.gap.prepare import camera_model, candidates, choices, fit_base
+from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.gap.rows import base_row
-from jaxisp.stages.balance import WhiteBalance
+from jaxisp.io.datasets import Loaded
+from jaxisp.io.raw import Raw
+from jaxisp.io.settings import Settings
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS
 from tests.gap.scenes import scenes
+
+
+def test_a_given_camera_has_the_stages_that_are_its_own():
+    camera = standard_camera()
+    raw = Raw(Path("a"), np.full((64, 64), 0.5, np.float32), "GRBG", np.zeros(4), 1.0, np.ones(3),
+              (0, 0, 64, 64), (0, 0, 64, 64))  # fmt: skip
+    loaded = Loaded("a", np.zeros((64, 64, 3), np.float32), None, raw, None, Settings(), False, None)
+    row = base_row(camera_model(camera, [loaded], candidates("raw+jpeg")), {}, "camera")
+    own = [n.name for n in camera.chain.nodes if not n.name.startswith(("demosaic", "rounding"))]
+    assert [name for name in row["stages"] if name != "demosaicking"] == own and row["fitted"] == {}
 
 
 @pytest.mark.parametrize("roots", [False, True])
@@ -34,7 +51,25 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     assert np.argmax(found.shared["demosaicking"].shares) == which // 2
     np.testing.assert_array_equal(found.per_pair["mosaic_white_balance"].gains, 1)
     assert ("companding" in base_row(found, base.absorbed)["stages"]) == roots
+    assert all(0 <= share <= 1 for share in base.absorbed.values())
+    assert base.absorbed["demosaicking"] > 0.5
     assert (base.rival is not None) == roots, "what is explained by roots may be an effect"
     assert len(base.choices) == 2 * len(DEMOSAICKERS) + 1, (
         "all of linear values, and the best of square roots"
     )
+
+
+def test_what_a_base_takes_up_is_what_would_be_left_without_it():
+    light = jnp.asarray(np.random.default_rng(0).uniform(0.1, 0.6, (2, 96, 96)), jnp.float32)
+    chain, params = plain_camera("GRBG")
+    balance = {
+        n: WhiteBalance(gains=np.ones((2, 3), np.float32)) for n in ("mosaic_white_balance", "later_balance")
+    }
+    start = build(chain, params, balance, plain_freedom(), [])
+    warm = {"color_matrix": ColorMatrix(matrix=np.diag([1.3, 1.0, 0.8]).astype(np.float32))}
+    fitted = start.with_shared(start.shared | warm)
+    z = np.zeros(len(start.coordinates))
+    pairs = Pairs(("a", "b"), light, fitted.render(z, light), np.ones(light.shape, bool))
+    shares = taken_up(Problem(fitted, pairs), [0, 1], fitted, start.shared)
+    assert shares["white_balance"] == pytest.approx(1, abs=1e-4), "nothing is left with it"
+    assert shares["color_matrix"] == shares["tone_curve"] == shares["black_level_offset"] == 0

@@ -38,7 +38,16 @@ REPORT = {
     "schema": 1,
     "kind": "raw+jpeg",
     "base": {"stages": ["demosaicking"], "fitted": {"tone_curve": {}}, "absorbed": {"white_balance": 0.94}},
-    "pairs": {"fit": ["a"], "held_out": ["<script>alert(1)</script>"]},
+    "pairs": {
+        "fit": ["a"],
+        "held_out": ["<script>alert(1)</script>"],
+        "aligned": [
+            {"name": "a", "shift_px": [2.0, -1.0], "scale": [1.0, 1.0], "done": "moved", "certain": True},
+            {"name": "b", "shift_px": [0.0, 0.0], "scale": [1.0, 1.0], "done": "nothing", "certain": False},
+        ],
+        "left_out": [],
+        "failed": [],
+    },
     "gap": {
         "metric": "mean square, squared steps",
         "before": 17.6,
@@ -251,8 +260,18 @@ def test_the_command_says_what_is_left_and_warns(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("verdict: effect; gap 17.6 -> 4.2, floor 1; 19 % of the gap stays unexplained\n")
     assert err == "jaxisp: only 2 pairs: intervals and the choice are not reliable; give at least four.\n"
-    _warn(changed(pairs={"fit": ["a", "b"], "held_out": ["c", "d"]}))
+    four = {"fit": ["a", "b"], "held_out": ["c", "d"], "left_out": []}
+    _warn(changed(pairs=four))
     assert capsys.readouterr().err == ""
+    _warn(changed(pairs=four | {"left_out": [{"name": "e", "reason": "of two scenes"}]}))
+    assert capsys.readouterr().err == "jaxisp: e: left out: of two scenes\n"
+
+
+def test_the_page_says_what_was_done_to_pairs():
+    aside = {"left_out": [{"name": "e", "reason": "far off"}], "failed": [{"file": "f", "reason": "f: lost"}]}
+    text = shown(changed(pairs=REPORT["pairs"] | aside))
+    assert "a moved (2.0, -1.0 px)" in text and "f: lost; e: far off" in text
+    assert "not surely of one scene" in text
 
 
 def test_statistics_have_names():
