@@ -26,7 +26,7 @@ from jaxisp.gap.diagnose import raw_case
 from jaxisp.gap.effects import CLEAN_NOISY
 from jaxisp.gap.measured import Case, Split
 from jaxisp.gap.noisy_case import plain_case
-from jaxisp.gap.noisy_pairs import clean_pairs
+from jaxisp.gap.noisy_pairs import clean_pairs, on_each_other
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.verdict import gap_at, searched
 from jaxisp.io.datasets import Loaded, open_dataset
@@ -68,7 +68,7 @@ def raw_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
 
 def noisy_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
     """All with the model of the first: the noise is fitted to the same pairs."""
-    splits = groups(half)
+    splits, loaded = groups(half), on_each_other(loaded).kept
     pairs = clean_pairs(loaded)
     camera, mean = fit_mean(loaded[0].jpeg, pairs, splits[0].fit, None)
     effects, model = prepare.candidates(CLEAN_NOISY, ()), None
