@@ -17,6 +17,7 @@ SMALL = (
     "--steps", 2, "--batch", 1, "--patch", 16, "--downsample", 2, "--validation", 1, "--checkpoint-every", 1,
     "--warmup", 0,
 )  # fmt: skip
+AWGN = ("--recipe", "awgn", "--model", "fast")
 
 
 def run(capsys, *arguments):
@@ -37,20 +38,7 @@ def clean(tmp_path):
 def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     (clean / "bad.png").write_bytes(b"no picture")
     trained, out = tmp_path / "run", tmp_path / "out"
-    status, text, err = run(
-        capsys,
-        "train",
-        "--clean",
-        clean,
-        "--recipe",
-        "awgn",
-        "--model",
-        "fast",
-        "-o",
-        trained,
-        *SMALL,
-        "--json",
-    )
+    status, text, err = run(capsys, "train", "--clean", clean, *AWGN, "-o", trained, *SMALL, "--json")
     result = json.loads(text)
     assert status == 0 and result["finished"] and result["step"] == 2
     assert "bad.png" in err and result["skipped"][0]["file"].endswith("bad.png")
@@ -78,6 +66,12 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     assert status == 0 and {"pairs", "mean", "aligned", "normalised"} <= set(result)
     figures = {"psnr_in", "ssim_in", "psnr", "ssim"}
     assert figures == set(result["mean"]) and figures | {"name"} <= set(result["pairs"][0])
+    name = result["pairs"][0]["name"]
+    other = np.random.default_rng(9).random((32, 32, 3), np.float32)
+    np.save(tmp_path / "pairs" / f"{name}.clean.npy", other)
+    next((tmp_path / "pairs").glob(f"{name}.clean.png")).unlink()
+    status, _, err = run(capsys, "evaluate", "--run", trained, tmp_path / "pairs", "--json")
+    assert status == 0 and f"jaxisp: {name}: where the clean picture lies cannot be told" in err
 
 
 @pytest.mark.parametrize(
@@ -130,18 +124,7 @@ def test_a_recipe_that_cannot_run_leaves_the_folder_free(capsys, clean, tmp_path
 
 def test_a_full_disk_is_one_line_and_status_2(clean, tmp_path):
     """In a process of its own: threads may print when it ends."""
-    command = [
-        sys.executable,
-        "-m",
-        "jaxisp",
-        "train",
-        "--clean",
-        clean,
-        "--recipe",
-        "awgn",
-        "--model",
-        "fast",
-    ]
+    command = [sys.executable, "-m", "jaxisp", "train", "--clean", clean, *AWGN]
     with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=200k", "tmpfs") as disk:
         arguments = [str(a) for a in (*command, "-o", disk / "run", *SMALL)]
         done = subprocess.run(arguments, capture_output=True, text=True)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
 from jaxisp.errors import InputError
 from jaxisp.fit import model
-from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene
+from jaxisp.fit.align import Alignment, estimate, same_scene, turned_place
 from jaxisp.fit.lens import Lens, radial
 from jaxisp.fit.planes import SMALLEST
 from jaxisp.io import Jpeg, Raw, orient
@@ -21,7 +21,6 @@ from jaxisp.stages.transfer import srgb_oetf
 
 FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
 _SCALES = (0.8, 1.25)  # of the picture against the RAW; beyond, resizing would have to be modelled
-_CERTAIN = 0.15  # of correlation that another orientation must be better by
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +59,7 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     camera_rgb = demosaicked(balanced(example.raw), example.raw.cfa, model.Design("demosaic_bilinear"))
     bright = max(float(np.percentile(camera_rgb, 99)), 1e-6)
     guess = np.asarray(_encoded(np.asarray(camera_rgb) / np.float32(bright)))
-    picture, orientation, notes = example.picture, 1, []
+    picture, notes = example.picture, []
     same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
     if min(*picture.shape[:2], *guess.shape[:2]) < SMALLEST:
         raise InputError(
@@ -68,17 +67,14 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
             f"{guess.shape[1]}x{guess.shape[0]}; expected {SMALLEST} or more a side"
         )
     alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
-    if not same_scene(alignment, picture.shape) or float(alignment.correlation) < 0.6:
-        found = INVERSE[best_orientation(picture, guess)]
-        turned = np.ascontiguousarray(orient(picture, found))
-        other = estimate(turned, guess)
-        better = float(other.correlation) > float(alignment.correlation) + _CERTAIN
-        if found != 1 and same_scene(other, turned.shape) and better:
-            notes.append(
-                f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {found} "
-                f"(correlation {float(other.correlation):.2f} against {float(alignment.correlation):.2f})"
-            )
-            picture, alignment, orientation = turned, other, found
+    orientation = INVERSE[turned_place(picture, guess, alignment)[1]]
+    if orientation != 1:
+        picture, before = np.ascontiguousarray(orient(picture, orientation)), alignment
+        alignment = estimate(picture, guess)
+        notes.append(
+            f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {orientation} "
+            f"(correlation {float(alignment.correlation):.2f} against {float(before.correlation):.2f})"
+        )
     if not same_scene(alignment, picture.shape):
         raise InputError(
             f"{example.name}: the RAW and the JPEG do not show the same scene "

@@ -69,10 +69,7 @@ def prior_from_cameras(
     if not loaded:
         raise InputError("a prior needs at least one camera")
     for camera in loaded:
-        missing = {"exposure", "unsharp_mask"} - set(camera.prior)
-        if camera.chain.domain_in.name != "mosaic" or missing:
-            why = f"it has no {' and no '.join(sorted(missing))}" if missing else "it takes no mosaic"
-            raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: {why}")
+        _check_fitted(camera)
     first = loaded[0]
     kept = [node for node in first.chain.nodes if node.name not in (*LEFT_OUT, JPEG)]
     encoder = next((c for c in loaded if JPEG in c.prior), None)
@@ -100,6 +97,13 @@ def prior_from_cameras(
     if len({tuple(_design(camera)) for camera in loaded}) > 1:
         text += f"; they differ in their stages: {', '.join(_design(first))} are those of the first"
     return Recipe(chain, prior, text, {"cameras": [", ".join(c.meta.get("fitted_to", [])) for c in loaded]})
+
+
+def _check_fitted(camera: Recipe) -> None:
+    missing = {"exposure", "unsharp_mask"} - set(camera.prior)
+    if camera.chain.domain_in.name != "mosaic" or missing:
+        why = f"it has no {' and no '.join(sorted(missing))}" if missing else "it takes no mosaic"
+        raise InputError(f"{camera.name!r} is no camera from `jaxisp fit`: {why}")
 
 
 def _design(camera: Recipe) -> list[str]:

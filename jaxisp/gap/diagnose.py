@@ -263,10 +263,9 @@ def raw_case(
     problem = Problem(model, pairs, base.choices, base.rival)
     problem.weigh(problem.robust_weights())
     problem.references = references
-    # a file that is no JPEG was compressed once, if at all; a JPEG's header states how it was last
-    stated = {"double_compression" if loaded[0].jpeg is None else "jpeg_quantization"}
-    if loaded[0].jpeg is not None and loaded[0].jpeg.subsampling != "4:4:4":
-        stated.add("chroma_subsampling")
+    stated = prepare.stated_by(loaded[0].jpeg)
+    if loaded[0].jpeg is None:  # was compressed once, if at all
+        stated.add("double_compression")
     offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
     stored = floor_difference(problem, [p.jpeg for p in loaded])
     floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None

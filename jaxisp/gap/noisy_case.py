@@ -84,9 +84,6 @@ def clean_case(
     if 1 < len(kept) < len(loaded):
         case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera, doubted=doubted)
         return dataclasses.replace(case, strays=(*strays, *case.strays))
-    stated = {"jpeg_quantization"} if file is not None else set()
-    if file is not None and file.subsampling != "4:4:4":
-        stated.add("chroma_subsampling")
     if simulator is None:
         case = plain_case(camera, mean, split, effects, seed, tick)
         if file is None:  # a file's own grid would be elsewhere
@@ -100,6 +97,7 @@ def clean_case(
         case = _given(given, pairs, seen, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
     reference = _toned(case.problem.pairs.light, None if believed else mean)
+    stated = prepare.stated_by(file)
     if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
         stated.add("double_compression")
     offered = [name for name in case.offered if name not in stated]

@@ -17,6 +17,7 @@ from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_f
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Stage, run, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
@@ -82,6 +83,13 @@ def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
     tried = [e for e in EFFECTS.values() if kind in e.shows_in and e.name not in exclude]
     # beside a RAW, noise that is added later cannot be predicted pixel by pixel
     return [e for e in tried if not (e.random and kind == RAW_JPEG)]
+
+
+def stated_by(file: Jpeg | None) -> set[str]:
+    """The effects that a file's header tells all about, and that are not looked for."""
+    if file is None:
+        return set()
+    return {"jpeg_quantization"} | ({"chroma_subsampling"} if file.subsampling != "4:4:4" else set())
 
 
 class Base(NamedTuple):

@@ -16,9 +16,8 @@ from jaxisp.train.step import State
 FOLDERS = ("best", "last")
 _OVERHEAD = 1 << 20  # bytes of a checkpoint besides its arrays, at the most
 
-# what orbax logs besides raising it, its threads even after that: it is told once, by an InputError
 _RAISED = ("_SignalingThread.run() raised", "Metadata file does not exist")
-logging.getLogger("absl").addFilter(lambda record: not any(text in str(record.msg) for text in _RAISED))
+"""What orbax logs besides raising it, its threads even after that: it is told once, by an InputError."""
 
 
 class Checkpoints:
@@ -39,6 +38,7 @@ class Checkpoints:
 
     def __init__(self, run: Path, keep: int = 2, *, reading: bool = False) -> None:
         self.run = run
+        logging.getLogger("absl").addFilter(_is_news)  # one filter, however often it is added
         try:
             self._managers = {
                 name: _manager(run / "checkpoints" / name, count, reading)
@@ -113,6 +113,10 @@ class Checkpoints:
     def close(self) -> None:
         for manager in self._managers.values():
             manager.close()
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    return not any(text in str(record.msg) for text in _RAISED)
 
 
 def _manager(folder: Path, keep: int, reading: bool) -> ocp.CheckpointManager:

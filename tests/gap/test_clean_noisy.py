@@ -2,6 +2,7 @@
 
 import functools
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose, noisy_case, noisy_phase
 from jaxisp.gap.effects import AXES
+from jaxisp.gap.measured import Split
 from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import MIXING, Camera, noise_freedom, primaries
 from jaxisp.gap.noisy_pairs import clean_pairs, on_each_other, split_of
@@ -191,6 +193,13 @@ def test_a_pair_of_two_scenes_is_not_certain():
     scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(2)]
     rows = on_each_other([clean_pair("a", scenes[0], np.sqrt(scenes[1]))]).rows
     assert [row["certain"] for row in rows] == [False]
+    names, errors = ("a", "b", "c", "d", "e", "f"), np.array([50.0, 1.1, 1.0, 0.9, 5.0, 20.0])
+    mean = SimpleNamespace(z=0, errors=lambda z: errors, pairs=SimpleNamespace(names=names))
+    strays = functools.partial(noisy_case._strays, mean, Split((0, 2, 4), (1, 3, 5)))
+    assert strays(()) == (), (
+        "the fitted ones are believed, and no other is twelve times as far off as they are"
+    )
+    assert strays(("a", "c")) == ("a",)
 
 
 def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):

@@ -1,12 +1,14 @@
 """The two halves of a pair laid on each other."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
 from jaxisp.errors import InputError
+from jaxisp.gap.diagnose import _load
 from jaxisp.gap.frame import in_one_frame
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
@@ -68,3 +70,11 @@ def test_a_pair_of_two_scenes_is_left_out():
     assert failed[0][0] == "b" and "do not show one scene" in failed[0][1]
     with pytest.raises(InputError, match="do not show one scene"):
         in_one_frame([pair("b", b, scene(2)[:-8])])
+
+
+def test_pictures_that_are_too_small_are_left_out():
+    whole = scene(0)
+    pairs = [pair("a", whole, whole), pair("b", whole, whole[:40, :70])]
+    kept, failed = _load([SimpleNamespace(name=p.name, load=lambda p=p: p) for p in pairs])
+    assert [p.name for p in kept] == ["a"]
+    assert failed == [("b", "b: 70x40 px are too few to be diagnosed, expected 64 or more a side")]
