@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.special import ndtr
 
 from .numeric import srgb_encode
 
@@ -204,6 +205,21 @@ def steep_in_the_middle(x: np.ndarray) -> np.ndarray:
     return np.asarray((bent(y) - bent(-0.45)) / (bent(0.55) - bent(-0.45)))
 
 
+def lightness(x: np.ndarray) -> np.ndarray:
+    """CIE 1976 lightness: a line up to 0.9 % of white, a cube root above."""
+    x = np.clip(x, 0, 1)
+    return np.where(x > 216 / 24389, 1.16 * np.cbrt(x) - 0.16, 24389 / 27 * x / 100)
+
+
+def film_density(x: np.ndarray) -> np.ndarray:
+    """A normal distribution's share of the logarithm of light, as film darkens: toe, middle, shoulder."""
+
+    def share(v: np.ndarray | float) -> np.ndarray:
+        return np.asarray(ndtr((np.log2(v + 0.03) + 2.2) / 1.9))
+
+    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+
+
 def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     matrix = np.array(rows)
     return matrix / matrix.sum(axis=1, keepdims=True)
@@ -366,6 +382,20 @@ BODIES = {
             order="balance-last", border="own", exposure=0.83, spot=0.56, luma_share=0.03, sign=-1,
             bright=Noise(19000.0, 2.5), dim=Noise(1400.0, 9.0), standing=("demosaicking",),
         ),
+        # by np.random.default_rng(20261126)
+        Body(
+            "catalpa", "RGGB", 14, 267.0, (1.92, 1.0, 1.59),
+            _matrix((1.88, -0.26, -0.2), (-0.2, 1.66, -0.23), (-0.43, -0.29, 1.75)),
+            lightness, "malvar", "bilinear", 94, exposure=0.88, spot=0.48, luma_share=0.03, sign=-1,
+            bright=Noise(10000.0, 3.3), dim=Noise(1600.0, 9.0),
+        ),
+        Body(
+            "durian", "GRBG", 12, 139.0, (1.94, 1.0, 2.03),
+            _matrix((1.45, -0.38, -0.24), (-0.4, 1.29, -0.13), (-0.05, -0.15, 1.3)),
+            film_density, "variable-gradients", "bilinear", 94, sampling="4:2:0", border="own",
+            exposure=0.82, spot=0.56, luma_share=0.02, intermediate_bits=14,
+            bright=Noise(14000.0, 2.1), dim=Noise(1700.0, 8.4), standing=("demosaicking",),
+        ),
     )
 }  # fmt: skip
 LATER = (
@@ -384,5 +414,7 @@ LATER = (
     "zelkova",
     "acacia",
     "banyan",
+    "catalpa",
+    "durian",
 )
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""
