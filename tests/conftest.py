@@ -45,9 +45,9 @@ def room():
         gc.collect()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def quickly():
-    """All programs of a module compile as `quick_jit`'s do: for small pictures, where code that is not
+    """All programs of a test compile as `quick_jit`'s do: for small pictures, where code that is not
     optimised takes no time to run, and what is asked is how programs agree."""
     jax.config.update("jax_disable_most_optimizations", True)
     yield

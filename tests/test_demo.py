@@ -3,19 +3,24 @@
 import functools
 import json
 
+import pytest
 from PIL import Image
 
 import jaxisp.demo
 from jaxisp.cli import main
+from jaxisp.fit import fit_dataset
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 
 
+@pytest.mark.usefixtures("quickly")
 def test_demo(tmp_path, capsys, monkeypatch):
     whole = jaxisp.demo.run_demo
     monkeypatch.setattr(jaxisp.demo, "run_demo", lambda *a, **k: whole(*a, **k, steps=3, training=2))
     monkeypatch.setattr(jaxisp.demo, "SIZE", 160)
+    plain = functools.partial(fit_dataset, demosaic="demosaic_malvar", median="none")
+    monkeypatch.setattr(jaxisp.demo, "fit_dataset", plain)
     few = sorted(set(EFFECTS) - {"chroma_denoising", "luma_denoising", "sharpening", "film_grain"})
     monkeypatch.setattr(jaxisp.demo, "diagnose", functools.partial(diagnose, exclude=few))
     assert main(["demo", "--out", str(tmp_path / "d"), "--json"]) == 0

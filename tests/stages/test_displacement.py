@@ -10,6 +10,7 @@ from scipy import ndimage
 from jaxisp.pipeline import stage
 from jaxisp.stages import optics
 from jaxisp.stages.optics import displacement
+from tests.conftest import quick_jit
 
 from .lens import CENTRE, H, W, apply, offsets, picture, squared_radius
 
@@ -97,8 +98,13 @@ def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shap
     params = jax.tree.map(lambda v: jnp.asarray(v, float) + 0.0071, node.init())
     image, change, weights = np.random.default_rng(0).random((3, *shape))
     moved = jax.tree.map(lambda v: jnp.full_like(v, 0.5), params)
-    _, tangent = jax.jvp(lambda p, x: node(p, x), (params, image), (moved, change))
-    by_params, by_image = jax.vjp(lambda p, x: node(p, x), params, image)[1](jnp.asarray(weights))
+
+    @quick_jit
+    def both_ways(given, turn, weights):
+        _, tangent = jax.jvp(lambda p, x: node(p, x), given, turn)
+        return tangent, jax.vjp(lambda p, x: node(p, x), *given)[1](weights)
+
+    tangent, (by_params, by_image) = both_ways((params, image), (moved, change), weights)
     backward = sum(0.5 * v for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
     np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
 
