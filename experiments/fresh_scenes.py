@@ -61,7 +61,7 @@ def groups(half: int) -> list[Split]:
 
 def raw_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
     splits = groups(half)
-    case = raw_case(loaded, None, (), splits[0], quiet)
+    case = raw_case(loaded, None, (), quiet, splits[0])
     for split in splits:
         yield dataclasses.replace(case, split=split)
 

@@ -16,11 +16,11 @@ from jaxisp.gap.measured import Ladders, Part, Rows, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import normalised_regressors
-from jaxisp.gap.noisy_pairs import by_scene, scene_name
 from jaxisp.gap.noisy_start import noisier, placed, starts, told_by_noise
 from jaxisp.gap.noisy_units import by_place, emphasis, emphasised, noise_only, repeats, units, weights
 from jaxisp.gap.noisy_where import credited, in_one_place, located
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
+from jaxisp.gap.scenes import by_scene, scene_name
 from jaxisp.gap.statistics import features, frames_of, mean_features
 from jaxisp.gap.threads import each
 
@@ -63,7 +63,8 @@ class StatisticsProblem:
         self._frames = frames_of([scene_name(name) for name in pairs.names])
         self._maps = normalised_regressors(self.base_picture, self.mask)
         self._codes = seen
-        self._weights, self._counted = weights(), np.ones_like(weights())
+        self._weights = weights(self._frames.repeated)
+        self._counted = np.ones_like(self._weights)
         self._emphasis: np.ndarray | None = None
         self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
         self._known: dict[tuple[int, bytes], tuple[Model, tuple[np.ndarray, np.ndarray]]] = {}
@@ -128,7 +129,7 @@ class StatisticsProblem:
         self.move_to(self.z)
         if emphasise:
             self._emphasis = emphasis(self.difference[self.split.fit[0]] ** 2 / self._weights)
-            plain, self._weights = self._weights, emphasised(self._emphasis)
+            plain, self._weights = self._weights, emphasised(self._weights, self._emphasis)
             self._scale = self._scale * np.sqrt(self._weights / plain)
             self.move_to(self.z)
 

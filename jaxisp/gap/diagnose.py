@@ -19,6 +19,7 @@ from jaxisp.gap.noisy_pairs import on_each_other
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import base_row, cause_row, ranking_rows
+from jaxisp.gap.scenes import split_of
 from jaxisp.gap.stepwise import Tick
 from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, gap_at, searched
 from jaxisp.io.datasets import Loaded, open_dataset
@@ -176,7 +177,7 @@ def _case(
     laid = laid._replace(failed=failed + laid.failed)
     loaded = 2 * laid.kept if len(laid.kept) == 1 else laid.kept  # one's tiles are told apart by masks
     if found.kind == RAW_JPEG:
-        return raw_case(loaded, camera, exclude, halves(len(loaded)), tick), laid
+        return raw_case(loaded, camera, exclude, tick), laid
     from jaxisp.gap.noisy_case import clean_case
 
     is_camera = camera is not None
@@ -233,16 +234,17 @@ def _large_enough(pair: Loaded) -> Loaded:
     return pair
 
 
-def halves(count: int) -> Split:
-    """Every other pair is fitted."""
-    return Split(tuple(range(0, count, 2)), tuple(range(1, count, 2)))
-
-
 def raw_case(
-    loaded: Sequence[Loaded], camera: Recipe | None, exclude: Sequence[str], split: Split, tick: Tick
+    loaded: Sequence[Loaded],
+    camera: Recipe | None,
+    exclude: Sequence[str],
+    tick: Tick,
+    split: Split | None = None,
 ) -> Case:
-    """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted."""
+    """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
+    is fitted, unless a split says otherwise."""
     pairs = prepare.raw_pairs(loaded)
+    split = split_of(pairs.names) if split is None else split
     effects = prepare.candidates(RAW_JPEG, exclude)
     tick(0, MOST_CAUSES, "fitting the base")
     if camera is None:

@@ -19,9 +19,9 @@ from flax import nnx
 
 from jaxisp.gap.measured import Case, Downstream
 from jaxisp.gap.model import Model
-from jaxisp.gap.noisy_pairs import scene_name
 from jaxisp.gap.prepare import TILES
 from jaxisp.gap.residual import BORDER
+from jaxisp.gap.scenes import scene_name
 from jaxisp.io.files import atomic_write
 from jaxisp.metrics import match_moments, psnr, ssim
 from jaxisp.models import count_parameters, make_model

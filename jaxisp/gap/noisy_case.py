@@ -20,9 +20,10 @@ from jaxisp.gap.noisy_codes import Codes, codes
 from jaxisp.gap.noisy_fit import fit_noise, rebased
 from jaxisp.gap.noisy_given import Given, of_recipe
 from jaxisp.gap.noisy_open import fit_open
-from jaxisp.gap.noisy_pairs import clean_pairs, split_of
+from jaxisp.gap.noisy_pairs import clean_pairs
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
+from jaxisp.gap.scenes import split_of
 from jaxisp.gap.stepwise import Tick
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Params, stage

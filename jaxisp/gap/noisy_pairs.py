@@ -1,7 +1,6 @@
-"""Clean+noisy pairs: read, cut to one size and laid on each other; which scene they show, who is held out."""
+"""Clean+noisy pairs: read, cut to one size and laid on each other."""
 
 import dataclasses
-import re
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -13,40 +12,11 @@ from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
 from jaxisp.gap import prepare
 from jaxisp.gap.frame import Laid, row
-from jaxisp.gap.measured import Split
 from jaxisp.gap.residual import BORDER, Pairs
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.orientation import orient
 
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
-
-
-def split_of(names: Sequence[str]) -> Split:
-    """Every other scene is fitted, with all of its frames."""
-    scenes = [scene_name(name) for name in names]
-    order = list(dict.fromkeys(scenes))
-    if len(order) == 1:
-        order, scenes = list(names), list(names)
-    fitted = set(order[::2])
-    which = [[i for i, s in enumerate(scenes) if (s in fitted) == first] for first in (True, False)]
-    return Split(tuple(which[0]), tuple(which[1]))
-
-
-def scene_name(name: str) -> str:
-    """The stem without the number of a repeated frame."""
-    return re.sub(r"\.f\d{2,}$", "", name)
-
-
-def by_scene(values: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """(N, 1) values of pictures as (scenes, frames), NaN where a scene has fewer frames than another: frames
-    tell of one scene only, however many they are."""
-    scenes = [scene_name(name) for name in names]
-    most = max(scenes.count(s) for s in scenes)
-    found = np.full((len(set(scenes)), most), np.nan)
-    for at, scene in enumerate(dict.fromkeys(scenes)):
-        own = [float(v[0]) for v, s in zip(values, scenes) if s == scene]
-        found[at, : len(own)] = own
-    return found
 
 
 def on_each_other(loaded: Sequence[Loaded]) -> Laid:

@@ -14,12 +14,14 @@ TOLERANCES: dict[str, float] = {
     "logvar cfa_phase": 0.05, "logvar edge": 0.06, "logvar frequency": 0.08, "logvar intensity": 0.16,
     "logvar radius": 0.05, "pattern row": 0.02, "pattern column": 0.02, "pattern fixed_pattern": 0.006,
     "pattern tail": 0.01, "tail tail": 0.12, "code intensity": 0.03, "levels intensity": 0.03,
-    "corr orientation": 0.03, "coarse fixed_pattern": 0.03,
+    "corr orientation": 0.03, "coarse fixed_pattern": 0.03, "change frame": 0.1,
 }  # fmt: skip
 """Differences that cameras lacking nothing show, averaged over pairs, chance taken off: 8-bit steps for
-means, logarithms and correlations for the rest. See docs/diagnosis.md for the cameras."""
+means and changes, logarithms and correlations for the rest. See docs/diagnosis.md for the cameras."""
 
-_REPEATED = ("pattern", "coarse")  # what is looked for in the other scenes
+_SHARED = ("pattern", "coarse", "change")  # what is looked for in other scenes or frames
+_ABSENT = 1e-12
+"""The weight of what pictures cannot show: of one that is none, nothing could be measured in units."""
 _MOST = 30.0
 """How many times as much as another a statistic can count at most for what the fitted pairs show of it."""
 
@@ -50,7 +52,7 @@ def _tolerance(name: str) -> float:
 def repeats() -> np.ndarray:
     """(F,) how much more the mean over pairs scatters than it would were they independent: what two pairs
     share counts for both."""
-    return np.array([2.0 if name.startswith(_REPEATED) else 1.0 for name in feature_names()])
+    return np.array([2.0 if name.startswith(_SHARED) else 1.0 for name in feature_names()])
 
 
 @functools.cache
@@ -100,20 +102,32 @@ def emphasis(squares: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(squares, 1.0, _MOST))
 
 
-def emphasised(more: np.ndarray) -> np.ndarray:
-    """(F,) `weights` of mean one, where what has more of the gap counts more: one statistic shall not drown
+def emphasised(plain: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """(F,) weights of mean one, where what has more of the gap counts more: one statistic shall not drown
     in many.
 
     Args:
+        plain: (F,) `weights`.
         more: (F,) the emphasis by what the fitted pairs differ in.
     """
-    found = weights() * more
+    found = plain * more
     return np.asarray(found / found.mean())
 
 
 @functools.cache
-def weights() -> np.ndarray:
-    """(F,) of mean one: each group counts the same."""
+def weights(repeated: bool = False) -> np.ndarray:
+    """(F,) of mean one: each group counts the same.
+
+    Args:
+        repeated: whether any scene has several frames; else what changes between them does not count.
+    """
     groups = [group_of(name) for name in feature_names()]
     counts = {g: groups.count(g) for g in groups}
-    return np.array([len(groups) / (len(counts) * counts[g]) for g in groups])
+    if not repeated:
+        del counts["noise frame"]
+    return np.array([len(groups) / (len(counts) * counts[g]) if g in counts else _ABSENT for g in groups])
+
+
+def present(weights: np.ndarray) -> np.ndarray:
+    """(F,) bool, what pictures can show; emphasised or not."""
+    return weights > 1e3 * _ABSENT

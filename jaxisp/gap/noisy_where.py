@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.measured import Rows
-from jaxisp.gap.noisy_units import axis_of
+from jaxisp.gap.noisy_units import axis_of, present
 from jaxisp.gap.statistics import feature_names
 
 _SPILT = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
@@ -27,7 +27,7 @@ def located(difference: np.ndarray, weights: np.ndarray) -> list[dict[str, Any]]
     """
     names, above = feature_names(), _above(difference, weights)
     axes = np.array([axis_of(name) for name in names])
-    in_units = difference / np.sqrt(weights)
+    in_units, counted = difference / np.sqrt(weights), weights * present(weights).mean()  # of those, mean one
     found = [
         {
             "axis": axis,
@@ -35,7 +35,7 @@ def located(difference: np.ndarray, weights: np.ndarray) -> list[dict[str, Any]]
             "p_value": _p_value(float((in_units[axes == axis] ** 2).mean())),
             "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
             "profile": [float(v) for v in in_units[axes == axis]],
-            "weights": [float(v) for v in weights[axes == axis]],
+            "weights": [float(v) for v in counted[axes == axis]],
             "unit": "what is harmless or chance",
         }
         for axis, own in above.items()
@@ -97,6 +97,7 @@ def _standardised(residual: np.ndarray) -> np.ndarray:
 
 def _above(difference: np.ndarray, weights: np.ndarray) -> dict[str, float]:
     axes, excess = np.array([axis_of(name) for name in feature_names()]), difference**2 - weights
+    axes, excess = axes[present(weights)], excess[present(weights)]
     return {str(axis): max(float(excess[axes == axis].sum()), 0.0) for axis in dict.fromkeys(axes)}
 
 

@@ -46,7 +46,7 @@ PIXELS = {
     "lag": "across: rows down, columns right to the neighbour",
     "tail": "across: beyond how many standard deviations",
     "fixed_pattern": "what stays at the same pixels from picture to picture",
-    "frame": "what changes from frame to frame",
+    "frame": "across: scene by scene, what its frames are off by, less what they are on average",
 }
 """Of RAW+JPEG pairs: what the profile of each axis runs over."""
 
@@ -98,6 +98,8 @@ def _of_channel(c: str) -> Iterator[tuple[str, str]]:
         yield f"pattern {of} {c} repeats", f"{c} offsets of {of}s that stay from scene to scene"
     yield f"pattern fixed_pattern {c} pixel", f"{c} differences that stay at their pixels"
     yield f"coarse fixed_pattern {c}", f"{c} spots of some 5 to 20 px that stay at their place"
+    for part in ("dark", "bright"):
+        yield f"change frame {c} {part}", f"{c} that comes and goes in the {part}er half, 8-bit steps"
 
 
 def _mean_of_channel(c: str) -> Iterator[tuple[str, str]]:

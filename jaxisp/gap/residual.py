@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter
 from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
 from jaxisp.gap.measured import Ladders, Rows
 from jaxisp.gap.model import Choice, Model
+from jaxisp.gap.scenes import by_scene, scene_name
 from jaxisp.gap.threads import each
 from jaxisp.gap.where import where
 from jaxisp.io import Jpeg
@@ -142,8 +143,8 @@ class Problem:
         return self.tiled((((self.target - self.picture(z)) * self.weight) ** 2).sum(-1), side)
 
     def clustered(self, values: np.ndarray, which: Sequence[int]) -> np.ndarray:
-        """(N, U) values of these pairs: all are taken for independent."""
-        return values
+        """(scenes, U) values of these pairs, for intervals over what is independent."""
+        return by_scene(values, [self.pairs.names[i] for i in which])
 
     def scenes(self, which: Sequence[int]) -> int | None:
         """Not counted: that tiles are drawn beside pairs makes up for few of these."""
@@ -173,7 +174,8 @@ class Problem:
         """The axes by their share of the residual where the problem stands; see `where`."""
         held, scale = list(held), np.maximum(self.weight[..., :1], 1e-6)
         residual, weight = (self.residual / scale)[held], self.weight[held][..., 0] ** 2
-        return where(residual, self.current[held], weight, rng=np.random.default_rng(0))
+        scenes = [scene_name(self.pairs.names[i]) for i in held]
+        return where(residual, self.current[held], weight, scenes=scenes, rng=np.random.default_rng(0))
 
     def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
         """These: of a residual each axis has its own already."""

@@ -1,9 +1,10 @@
 """Clean+noisy pairs: numbers that say how a real picture's residual differs from a simulated one's.
 
 Pixels of two noise realisations never agree, so statistics of the residual are compared: what its mean
-follows (light, radius, edges, hue ...), see `noisy_mean`, and how its noise is spread, correlated, shaped and
-repeated. The noise is measured on what is left when the mean's part, a regression on the noise-free picture's
-local features, is taken out: an error of the mean at edges is no noise. Repeated frames give it without any.
+follows (light, radius, edges, hue ...), see `noisy_mean`, how its noise is spread, correlated, shaped and
+repeated, and how light and colour change between the frames of a scene. The noise is measured on what is left
+when the mean's part, a regression on the noise-free picture's local features, is taken out: an error of the
+mean at edges is no noise. Repeated frames give it without any.
 """
 
 import functools
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.gap.noisy_codes import Codes, unknown_codes
-from jaxisp.gap.noisy_mean import Maps, mean_names
+from jaxisp.gap.noisy_mean import CHANNELS, Maps, mean_names, named
 from jaxisp.gap.noisy_noise import noise_part
 from jaxisp.gap.noisy_patterns import pattern_part
 
@@ -30,6 +31,11 @@ class Frames(NamedTuple):
 
     average: jax.Array
     others: jax.Array
+
+    @property
+    def repeated(self) -> bool:
+        """Whether any scene has several."""
+        return bool((self.average > 0).any())
 
 
 def frames_of(scenes: Sequence[str]) -> Frames:
@@ -60,7 +66,8 @@ def features(
     means, whole = (jnp.stack(part) for part in zip(*parts))
     noise = _apart(whole, mask, frames.average)
     each = [_noise_part(*own, seen) for own in zip(noise, y, s, mask)]
-    others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others)], 1)
+    changes = _changes(y - s, s[..., 0], mask, frames.average)
+    others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others), changes], 1)
     return np.concatenate([means, others[:, _others()[1]]], 1)
 
 
@@ -99,14 +106,34 @@ def _mean_part(
 @jax.jit
 def _apart(whole: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
     """What each picture differs in from the mean of its scene's frames."""
-    apart = jnp.eye(len(whole)) - average
-    apart = apart / jnp.sqrt((apart**2).sum(1, keepdims=True))
-    return jnp.tensordot(apart, whole, 1, precision="highest") * mask[..., None]
+    return jnp.tensordot(_differing(average), whole, 1, precision="highest") * mask[..., None]
+
+
+def _differing(average: jax.Array) -> jax.Array:
+    """(N, N) each picture less the mean of its scene's frames, as large as if the mean were known."""
+    apart = jnp.eye(len(average)) - average
+    return apart / jnp.sqrt((apart**2).sum(1, keepdims=True))
+
+
+_CHANGES = named("change frame {} {}", CHANNELS, ("dark", "bright"))
+
+
+@jax.jit
+def _changes(residual: jax.Array, light: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
+    """(N, K) by how many steps the darker and the brighter half of a picture differ from what they are on
+    average over its scene's frames; 0 where there is one frame only."""
+    middle = jnp.nanmedian(jnp.where(mask > 0, light, jnp.nan), (1, 2), keepdims=True)
+    halves = jnp.stack([mask * (light <= middle), mask * (light > middle)], -1)
+    sums = jnp.einsum("nhwc,nhwk->nck", residual, halves, precision="highest")
+    means = (sums / (halves.sum((1, 2)) + 1e-3)[:, None]).reshape(len(residual), -1)
+    apart = jnp.abs(jnp.dot(_differing(average), means, precision="highest"))
+    return apart * (average.sum(1, keepdims=True) > 0)
 
 
 @functools.cache
 def _others() -> tuple[tuple[str, ...], np.ndarray]:
-    """The names of what is no mean, and where each stands in what `_noise_part` and `_patterns` give."""
+    """The names of what is no mean, and where each stands in what `_noise_part`, `_patterns` and `_changes`
+    give."""
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
     noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_codes((32, 32)))
@@ -114,6 +141,7 @@ def _others() -> tuple[tuple[str, ...], np.ndarray]:
     masks, pairs = (jax.ShapeDtypeStruct(n, jnp.float32) for n in ((2, 32, 32), (2, 2)))
     patterns = jax.eval_shape(pattern_part, many, many, masks, pairs)
     names = np.array([name for part in (noise, patterns) for own in sorted(part) for name in own])
+    names = np.append(names, _CHANGES)
     order = np.argsort(names)
     return tuple(map(str, names[order])), order
 

@@ -7,7 +7,7 @@ twice: the neighbourhood, for one, counts at fixed luma. Significance comes from
 tiles, with the largest of all axes as the reference.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from jaxisp.gap import where_features as features
 from jaxisp.gap.where_features import POLAR_AXES, Scene
 from jaxisp.gap.where_profiles import Profiles
-from jaxisp.gap.where_scores import Bins, Explained, Lines, Regression, Repeated, Tail, Tiles, cut
+from jaxisp.gap.where_scores import Bins, Changing, Explained, Lines, Regression, Repeated, Tail, Tiles, cut
 
 DRAWS = 199
 _SLACK = 0.01  # of the energy: where less is left, nothing can be said of it
@@ -30,6 +30,7 @@ def where(
     weight: np.ndarray,
     *,
     cfa_period: int = 2,
+    scenes: Sequence[str] | None = None,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """Rank the axes by the share of the residual that they explain.
@@ -40,6 +41,7 @@ def where(
             grid.
         weight: (N, h, w) in [0, 1].
         cfa_period: of the colour filter array.
+        scenes: the name of the scene that each shows, where several are frames of one.
         rng: for folds and signs.
 
     Returns:
@@ -58,8 +60,10 @@ def where(
         )
     weight = weight.astype(np.float32)
     residual = np.where(weight[..., None] > 0, residual, 0).astype(np.float32)
-    tiles = cut(weight.shape, rng)
-    evidence = _Evidence(tiles, cfa_period, rng)
+    order = list(dict.fromkeys(scenes or range(n)))
+    shown_in = np.array([order.index(name) for name in scenes or range(n)])
+    tiles = cut(weight.shape, rng, shown_in)
+    evidence = _Evidence(tiles, cfa_period, shown_in, rng)
     for own, shown, counted in zip(residual, picture, weight):
         evidence.add(Scene(shown), own, counted)
     signs = rng.choice((-1.0, 1.0), (DRAWS + 1, tiles.folds.shape[1]))
@@ -96,21 +100,22 @@ def _corrected(shares: dict[str, np.ndarray]) -> dict[str, float]:
 class _Evidence:
     """The sums of every axis, taken in scene by scene."""
 
-    def __init__(self, tiles: Tiles, period: int, rng: np.random.Generator) -> None:
+    def __init__(self, tiles: Tiles, period: int, scenes: np.ndarray, rng: np.random.Generator) -> None:
         self._tiles, self._period = tiles, period
         self._known = features.REGRESSIONS | {"cfa_phase": features.cfa_features(period)}
         self._regressions = {axis: Regression(given) for axis, (_, given) in self._known.items()}
         self._lag = [Regression((1, 1, 1)) for _ in range(3)]
         self._rows, self._columns = Lines(), Lines()
-        self._repeated, self._tail = Repeated(), Tail(rng)
+        self._repeated, self._tail = Repeated(scenes), Tail(rng)
+        self._changing = Changing(scenes)
         self._bins: dict[str, Bins] = {}
         self.profiles = Profiles(period)
         self.energy = np.zeros((2, 3))  # by channel; chroma plain, and in polar form
-        self._scenes = 0
+        self._scenes = len(set(scenes))
+        self._frames = [f"{s + 1}.{list(scenes[:i]).count(s)}" for i, s in enumerate(scenes)]
 
     def add(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
         """One scene: residual (h, w, 3), weight (h, w)."""
-        self._scenes += 1
         polar = scene.polar(residual)
         self.energy += [(weight[..., None] * a**2).sum((0, 1), dtype=np.float64) for a in (residual, polar)]
         for axis, (build, _) in self._known.items():
@@ -123,6 +128,7 @@ class _Evidence:
         detail = residual - np.stack([features.ring(residual[..., c]) for c in range(3)], -1)
         self._add_noise(residual, detail, flat)
         self._repeated.add(_unlocked(detail * weight[..., None]))
+        self._changing.add(residual, weight, self._tiles)
         self.profiles.add(scene, residual, polar, detail, weight, flat)
 
     def _add_places(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
@@ -196,6 +202,9 @@ class _Evidence:
         found["tail"] = self._tail.explained
         if self._scenes >= 3:
             found["fixed_pattern"] = self._repeated.explained
+        if self._changing.repeated:
+            found["frame"] = self._changing.explained
+            self.profiles.add_frames(self._frames, self._changing.means())
         return found
 
 

@@ -1,5 +1,6 @@
 """A few numbers along each axis that show how the residual changes along it."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -62,6 +63,11 @@ class Profiles:
         lagged = [(detail * _moved(detail, d) * flat[..., None]).sum((0, 1)) for d in ((0, 0), *LAGS)]
         self._add("lag", np.stack(lagged))
         self._add("tail", _beyond(detail, flat))
+
+    def add_frames(self, labels: Sequence[str], means: np.ndarray) -> None:
+        """All of them: (N, 3) what each is off by."""
+        self._labels["frame"] = list(labels)
+        self._add("frame", np.concatenate([means, means**2, np.ones((len(means), 1))], 1))
 
     def _add(self, axis: str, sums: np.ndarray) -> None:
         self._sums[axis] = self._sums.get(axis, 0) + sums.astype(np.float64)

@@ -32,16 +32,18 @@ class Tiles:
         return own.reshape(len(signs), -1, self.across)
 
 
-def cut(shape: Sequence[int], rng: np.random.Generator) -> Tiles:
-    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only."""
-    n, h, w = shape[:3]
+def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray) -> Tiles:
+    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only. What
+    one frame of a scene teaches is not scored on another: `scenes` are the (N,) numbers of theirs, from 0."""
+    h, w = shape[1:3]
+    n = scenes.max() + 1
     edges = []
     for size in (h, w):
         step = 32 if n == 1 else max(32, size // 6 // 8 * 8)
         starts = list(range(0, max(size - step, 0) + 1, step))
         edges.append([slice(a, b) for a, b in zip(starts, [*starts[1:], size])])
     slices = [(rows, columns) for rows in edges[0] for columns in edges[1]]
-    groups = np.repeat(np.arange(n), len(slices)) if n > 1 else np.arange(len(slices))
+    groups = np.repeat(scenes, len(slices)) if n > 1 else np.tile(np.arange(len(slices)), len(scenes))
     many = groups.max() + 1
     count = max(2, min(4, many))
     fold = (rng.permutation(many) % count)[groups]
@@ -172,7 +174,8 @@ def _half_gain(a: np.ndarray, b: np.ndarray, pixels_a: np.ndarray, pixels_b: np.
 class Repeated:
     """What is at the same place in all scenes: the mean product of two scenes."""
 
-    def __init__(self) -> None:
+    def __init__(self, scenes: np.ndarray) -> None:
+        self._apart = np.not_equal.outer(scenes, scenes)
         self._scenes: list[np.ndarray] = []
 
     def add(self, detail: np.ndarray) -> None:
@@ -188,11 +191,46 @@ class Repeated:
         return (flat @ flat.swapaxes(1, 2)).astype(np.float64)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
-        products = self.products(tiles)
-        n = products.shape[-1]
-        products[..., np.arange(n), np.arange(n)] = 0
-        own = signs.reshape(len(signs), n, -1)
-        return Explained(np.einsum("dit,tcij,djt->dc", own, products, own, optimize=True) / (n - 1))
+        others = self._apart.sum(1, keepdims=True)
+        products = self.products(tiles) * (self._apart / np.maximum(others, 1))
+        own = signs.reshape(len(signs), len(others), -1)
+        return Explained(np.einsum("dit,tcij,djt->dc", own, products, own, optimize=True))
+
+
+class Changing:
+    """By how much a frame is off beyond what its scene's frames are off by on average, all over: learnt on
+    one half of its tiles, as on a chessboard, and scored on the other."""
+
+    def __init__(self, scenes: np.ndarray) -> None:
+        same = np.equal.outer(scenes, scenes).astype(float)
+        self._apart = np.eye(len(same)) - same / same.sum(1, keepdims=True)
+        self.repeated = bool(self._apart.any())
+        self._sums: list[np.ndarray] = []
+        self._counts: list[np.ndarray] = []
+
+    def add(self, residual: np.ndarray, weight: np.ndarray, tiles: Tiles) -> None:
+        """Take in one frame: (h, w, 3) and (h, w)."""
+        weighted = residual * weight[..., None]
+        self._sums.append(np.stack([weighted[t].sum((0, 1), dtype=np.float64) for t in tiles.slices]))
+        self._counts.append(np.array([weight[t].sum(dtype=np.float64) for t in tiles.slices]))
+
+    def means(self) -> np.ndarray:
+        """(N, 3) what each frame differs in."""
+        counts = np.stack(self._counts).sum(1, keepdims=True)
+        return np.asarray(self._apart @ (np.stack(self._sums).sum(1) / (counts + _RIDGE)))
+
+    def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        sums, counts = np.stack(self._sums), np.stack(self._counts)
+        own = signs.reshape(len(signs), *counts.shape)
+        rows, columns = np.divmod(np.arange(counts.shape[1]), tiles.across)
+        means, sizes = [], []
+        for half in (0, 1):
+            part = (rows + columns) % 2 == half
+            sizes.append(counts[:, part].sum(1)[:, None])
+            total = np.einsum("dnt,ntc->dnc", own[..., part], sums[:, part])
+            means.append(self._apart @ (total / (sizes[-1] + _RIDGE)))
+        gains = [sizes[1 - k] * means[k] * (2 * means[1 - k] - means[k]) for k in (0, 1)]
+        return Explained(np.sum(gains, (0, 2)))
 
 
 class Tail:

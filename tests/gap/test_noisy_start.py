@@ -80,10 +80,10 @@ def test_what_smooths_starts_from_usual_colours_too():
 def test_what_has_more_of_the_gap_counts_more():
     names = feature_names()
     squares = np.full(len(names), 0.5)
-    np.testing.assert_allclose(emphasised(emphasis(squares)), weights())
+    np.testing.assert_allclose(emphasised(weights(), emphasis(squares)), weights())
     k = names.index("corr row Y")
     squares[k] = 20
-    found = emphasised(emphasis(squares))
+    found = emphasised(weights(), emphasis(squares))
     assert found.mean() == pytest.approx(1) and found[k] / weights()[k] > 15 * (found[0] / weights()[0])
 
 

@@ -10,7 +10,7 @@ from jaxisp.gap.effects import AXES
 from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
 from jaxisp.gap.noisy_noise import LEVELS
-from jaxisp.gap.noisy_units import axis_of, tolerances, weights
+from jaxisp.gap.noisy_units import axis_of, present, tolerances, weights
 from jaxisp.gap.statistics import feature_names, features, frames_of
 from tests.gap.scenes import scenes
 
@@ -163,7 +163,23 @@ def test_names_axes_and_weights():
     names = feature_names()
     assert len(set(names)) == len(names) == len(tolerances()) == len(weights())
     assert {axis_of(n) for n in names} <= set(AXES)
-    assert weights().mean() == pytest.approx(1) and (tolerances() > 0).all()
+    assert (tolerances() > 0).all()
+    frame = np.array([axis_of(n) == "frame" for n in names])
+    for repeated in (False, True):
+        own = weights(repeated)
+        assert own.mean() == pytest.approx(1) and (present(own) == (~frame | repeated)).all()
+
+
+def test_what_changes_between_frames_is_measured_in_steps():
+    """By half a step up and down, of one or two frames; a scene without a second frame shows nothing."""
+    change = np.zeros_like(SCENE)
+    change[:2] += np.array([0.5, -0.5])[:, None, None, None]
+    frames = frames_of(["a", "a", "b", "c"])
+    still = jnp.asarray(np.repeat(SCENE[:1], N, 0))
+    found = np.asarray(features(still + change, still, MASK, [MAPS[0]] * N, frames, SEEN))
+    at = [k for k, name in enumerate(feature_names()) if axis_of(name) == "frame"]
+    wanted = [2**-0.5, 2**-0.5, 0, 0]  # two frames are less far from their mean than from a known one
+    np.testing.assert_allclose(found[:, at], np.outer(wanted, np.ones(len(at))), atol=1e-4)
 
 
 @pytest.mark.parametrize("mask", [0.0, 1.0])
@@ -192,5 +208,6 @@ def test_frames_of_one_scene_give_the_noise_without_what_they_share():
     for name in ("logvar intensity Y3", "corr lag Y(0, 1) light", "corr row Y"):
         assert rows[1][name] == pytest.approx(rows[0][name], abs=0.02)
     assert abs(rows[1]["pattern fixed_pattern Y pixel"]) < 0.03
+    assert rows[1]["change frame Y dark"] == pytest.approx(rows[0]["change frame Y dark"], abs=1e-3)
     np.testing.assert_array_equal(frames_of(["a", "b"]).average, 0)
     np.testing.assert_array_equal(frames_of(["a", "a"]).others, [[0, 1], [1, 0]])

@@ -124,6 +124,31 @@ def test_white_noise_has_no_axis():
     assert false <= 4  # a binomial of 20 at 0.05 is above in 0.3 % of the cases
 
 
+def test_frames_of_a_scene_are_compared_with_each_other():
+    """A change of all light lies on frames, however different the scenes; what a scene has in all of its
+    frames repeats there, and is neither that nor a fixed pattern."""
+    order, names = [0, 0, 1, 1, 2, 2], list("aabbcc")
+    pictures, rng = PICTURE[order], np.random.default_rng(3)
+    noise = rng.normal(size=pictures.shape)
+    scene_s = 2 * rng.normal(size=PICTURE.shape)[order]
+
+    def found(residual, scenes=names):
+        rows = where(residual, pictures, np.ones(pictures.shape[:3]), scenes=scenes, rng=rng)
+        return {row["axis"]: row for row in rows}
+
+    change = 0.5 * np.array([1, -1, -1, 1, 1, -1])[:, None, None, None] * [1, 0, 0]
+    own, *_ = found(noise + change).values()
+    energy = 0.25 / (0.25 + 3)  # of the change, of three channels' noise of one
+    assert own["axis"] == "frame" and own["channel"] == "Y" and own["p_value"] < 0.01
+    assert own["share"] == pytest.approx(energy, rel=0.1) and own["bins"][:3] == ["1.0", "1.1", "2.0"]
+    np.testing.assert_allclose(own["profile"], change[:, 0, 0, 0], atol=0.05)
+    json.dumps(own, allow_nan=False)
+    alike = found(noise + scene_s)
+    assert max(alike[axis]["share"] for axis in ("frame", "fixed_pattern")) < 0.01
+    assert found(noise + scene_s, list("abcdef"))["fixed_pattern"]["share"] > 0.1, "were they six scenes"
+    assert "frame" not in found(noise, None)
+
+
 def test_masked_pixels_do_not_count():
     rng = np.random.default_rng(3)
     residual = luma(0.05 * (Y - 128)) + rng.normal(size=PICTURE.shape)
