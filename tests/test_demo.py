@@ -3,7 +3,6 @@
 import functools
 import json
 
-import pytest
 from PIL import Image
 
 import jaxisp.demo
@@ -14,7 +13,6 @@ from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 
 
-@pytest.mark.usefixtures("quickly")
 def test_demo(tmp_path, capsys, monkeypatch):
     whole = jaxisp.demo.run_demo
     monkeypatch.setattr(jaxisp.demo, "run_demo", lambda *a, **k: whole(*a, **k, steps=3, training=2))

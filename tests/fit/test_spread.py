@@ -43,7 +43,7 @@ def spread(folder):
     return fit_dataset(folder, **WHAT, mesh=mesh_of(2))
 
 
-@pytest.mark.usefixtures("quickly")
+@pytest.mark.slow
 def test_eight_devices_give_the_equations_of_one(folder):
     pair = open_dataset(folder).pairs[0].load()
     shot = prepare(Example("scene", pair.raw, pair.picture, pair.jpeg))
