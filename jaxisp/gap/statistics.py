@@ -66,7 +66,9 @@ def features(
     means, whole = (jnp.stack(part) for part in zip(*parts))
     noise = _apart(whole, mask, frames.average)
     each = [_noise_part(*own, seen) for own in zip(noise, y, s, mask)]
-    changes = _changes(y - s, s[..., 0], mask, frames.average)
+    changes = np.zeros((len(y), len(_CHANGES)))
+    if frames.repeated:
+        changes = _changes(y - s, s[..., 0], mask, frames.average)
     others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others), changes], 1)
     return np.concatenate([means, others[:, _others()[1]]], 1)
 
@@ -122,7 +124,7 @@ _CHANGES = named("change frame {} {}", CHANNELS, ("dark", "bright"))
 def _changes(residual: jax.Array, light: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
     """(N, K) by how many steps the darker and the brighter half of a picture differ from what they are on
     average over its scene's frames; 0 where there is one frame only."""
-    middle = jnp.nanmedian(jnp.where(mask > 0, light, jnp.nan), (1, 2), keepdims=True)
+    middle = ((light * mask).sum((1, 2)) / (mask.sum((1, 2)) + 1e-3))[:, None, None]
     halves = jnp.stack([mask * (light <= middle), mask * (light > middle)], -1)
     sums = jnp.einsum("nhwc,nhwk->nck", residual, halves, precision="highest")
     means = (sums / (halves.sum((1, 2)) + 1e-3)[:, None]).reshape(len(residual), -1)

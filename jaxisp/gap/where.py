@@ -60,8 +60,9 @@ def where(
         )
     weight = weight.astype(np.float32)
     residual = np.where(weight[..., None] > 0, residual, 0).astype(np.float32)
-    order = list(dict.fromkeys(scenes or range(n)))
-    shown_in = np.array([order.index(name) for name in scenes or range(n)])
+    names = list(scenes or range(n))
+    order = list(dict.fromkeys(names))
+    shown_in = np.array([order.index(name) for name in names])
     tiles = cut(weight.shape, rng, shown_in)
     evidence = _Evidence(tiles, cfa_period, shown_in, rng)
     for own, shown, counted in zip(residual, picture, weight):

@@ -50,6 +50,8 @@ def test_what_vanishes_with_the_place_is_the_place_s():
     without = np.where(AXIS == "tail", 0.5, 0.2) * difference
     rows = located(difference, weight)
     share = {row["axis"]: row["share"] for row in rows}
+    assert "frame" not in share, "no scene has several"
+    assert np.concatenate([row["weights"] for row in rows]).mean() == pytest.approx(1)
     found = credited(rows, difference, without, weight)
     now = {row["axis"]: row["share"] for row in found}
     before, after = ((own**2 - weight)[AXIS == "tail"].sum() for own in (difference, without))
