@@ -97,11 +97,13 @@ class StatisticsProblem:
         """(N, F) statistics and (N, T) tones of a simulated set, these and the mean's statistics without the
         effects that are noise: where a pattern has its pixels is chance, and the same in all pictures."""
         key = id(self.model), z.tobytes()
-        if key not in self._known:
+        known = self._known.get(key)  # another thread may forget it meanwhile
+        if known is None:
+            known = self.model, self._looked_at(z)  # the model is held on to, so that its id stays its own
             if len(self._known) >= _KEPT:
                 self._known.clear()
-            self._known[key] = self.model, self._looked_at(z)  # held on to, so that an id stays its own
-        return self._known[key][1]
+            self._known[key] = known
+        return known[1]
 
     def _looked_at(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         picture, still = self.picture(z), self.model.still(z)

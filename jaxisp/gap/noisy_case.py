@@ -24,7 +24,9 @@ from jaxisp.gap.noisy_pairs import clean_pairs
 from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.residual import BORDER, Pairs, Problem, to_steps
 from jaxisp.gap.scenes import split_of
+from jaxisp.gap.statistics import compile_features
 from jaxisp.gap.stepwise import Tick
+from jaxisp.gap.threads import beside
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Params, stage
 from jaxisp.recipe import Recipe
@@ -79,7 +81,9 @@ def clean_case(
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
     cfa = described.cfa if described else None
-    camera, mean = fit_mean(file, pairs, split.fit, cfa)
+    counts = {len(pairs.names), len(split.fit)}
+    with beside(lambda: compile_features(counts, _inside(pairs))):  # one core's time, while the other fits
+        camera, mean = fit_mean(file, pairs, split.fit, cfa)
     strays = _strays(mean, split, doubted)
     kept = [p for p in loaded if p.name not in strays]
     if 1 < len(kept) < len(loaded):
@@ -218,5 +222,10 @@ def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
 
 
 def _codes(shared: Params, camera: Camera, pairs: Pairs) -> Codes:
-    height, width = (n - 2 * BORDER for n in pairs.mask.shape[1:])
-    return codes(shared, camera.cfa, camera.gains, (height, width), BORDER)
+    return codes(shared, camera.cfa, camera.gains, _inside(pairs), BORDER)
+
+
+def _inside(pairs: Pairs) -> tuple[int, int]:
+    """Height and width of what is measured."""
+    height, width = pairs.mask.shape[1:]
+    return height - 2 * BORDER, width - 2 * BORDER

@@ -8,7 +8,7 @@ mean at edges is no noise. Repeated frames give it without any.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -71,6 +71,15 @@ def features(
         changes = _changes(y - s, s[..., 0], mask, frames.average)
     others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others), changes], 1)
     return np.concatenate([means, others[:, _others()[1]]], 1)
+
+
+def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:
+    """Compile what takes longest to of `features`, of so many pictures of (h, w), before there are any."""
+    black, mask = jnp.zeros((*shape, 3)), jnp.zeros(shape)
+    _noise_part(black, black, black, mask, unknown_codes(shape))
+    for n in counts:
+        whole = jnp.zeros((n, *black.shape))
+        _patterns(whole, whole, jnp.zeros((n, *shape)), jnp.zeros((n, n)))
 
 
 def mean_features(

@@ -13,6 +13,7 @@ from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial, Whole, nearest_form, refit
 from jaxisp.gap.solve import fit
+from jaxisp.gap.threads import each
 from jaxisp.gap.which import LEADING, best, foretold, like_the_nearest, lookalikes, screen
 
 _REFITTED = 6  # of those that screening promises most of
@@ -55,11 +56,11 @@ def search(
     """
 
     def refitted(tried: Sequence[str], step: int, least: float, forms: Forms) -> list[Trial]:
-        found = []
-        for name in tried:
+        def one(name: str) -> Trial:
             tick(step, most, f"refitting {name}")
-            found.append(refit(problem, name, split, whole, least, form=forms.get(name)))
-        return found
+            return refit(problem, name, split, whole, least, form=forms.get(name))
+
+        return each(one, tried)
 
     most, seen, remaining = terms.most, terms.seen, 1.0
     every = (*split.fit, *split.held_out)

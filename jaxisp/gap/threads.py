@@ -3,8 +3,9 @@
 A program for a few small pictures keeps one core busy for much of its time, and Python's lock is free then.
 """
 
+import contextlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -25,6 +26,15 @@ def each(look: Callable[[_One], _Found], points: Iterable[_One]) -> list[_Found]
         return [look(point) for point in points]
     with ThreadPoolExecutor(count) as pool:
         return [look(points[0]), *pool.map(look, points[1:])]
+
+
+@contextlib.contextmanager
+def beside(work: Callable[[], object]) -> Iterator[None]:
+    """Do this on a thread of its own meanwhile, and wait for it at the end."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(work)
+        yield
+        done.result()
 
 
 def _cores() -> int:

@@ -6,12 +6,13 @@ import pytest
 from scipy.ndimage import convolve, gaussian_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
+from jaxisp.gap import statistics
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
 from jaxisp.gap.noisy_noise import LEVELS
 from jaxisp.gap.noisy_units import axis_of, present, tolerances, weights
-from jaxisp.gap.statistics import feature_names, features, frames_of
+from jaxisp.gap.statistics import compile_features, feature_names, features, frames_of
 from tests.gap.scenes import scenes
 
 SCENE = scenes(np.random.default_rng(3), 4, (112, 112))  # of the diagnoses' size: they share its programs
@@ -211,3 +212,14 @@ def test_frames_of_one_scene_give_the_noise_without_what_they_share():
     assert rows[1]["change frame Y dark"] == pytest.approx(rows[0]["change frame Y dark"], abs=1e-3)
     np.testing.assert_array_equal(frames_of(["a", "b"]).average, 0)
     np.testing.assert_array_equal(frames_of(["a", "a"]).others, [[0, 1], [1, 0]])
+
+
+def test_what_was_compiled_before_serves_pictures_of_that_size():
+    shape, programs = (52, 60), (statistics._noise_part, statistics._patterns)
+    compile_features([2], shape)
+    sizes = [program._cache_size() for program in programs]
+    scene = jnp.asarray(SCENE[:2, : shape[0], : shape[1]])
+    mask = jnp.ones((2, *shape), jnp.float32)
+    maps = normalised_regressors(scene, mask)
+    features(jnp.asarray(scene + 1), scene, mask, maps, frames_of(["a", "b"]), unknown_codes(shape))
+    assert [program._cache_size() for program in programs] == sizes

@@ -25,3 +25,17 @@ def test_points_are_looked_at_at_once(monkeypatch):
     monkeypatch.setattr(threads, "MOST", 2)
     met = threading.Barrier(2, timeout=30)
     threads.each(lambda n: n == 0 or met.wait(), range(3))
+
+
+def test_work_is_done_meanwhile_and_waited_for():
+    met, done = threading.Barrier(2, timeout=30), []
+    with threads.beside(lambda: (met.wait(), done.append(1))):
+        met.wait()
+    assert done == [1]
+
+
+def test_an_error_of_either_side_comes_through():
+    with pytest.raises(ZeroDivisionError), threads.beside(lambda: 1 / 0):
+        pass
+    with pytest.raises(KeyError), threads.beside(lambda: 1 / 0):
+        raise KeyError
