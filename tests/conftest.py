@@ -8,6 +8,8 @@ from pathlib import Path
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # what one worker or one command compiles, the others load; xdist's workers inherit it
