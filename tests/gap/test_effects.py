@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import EFFECTS, Effect, Move, register_effect
+from jaxisp.gap import EFFECTS, Effect, Move, register_effect, threads
 from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
 from jaxisp.gap.measured import Split
 from jaxisp.gap.model import build, plain_camera, plain_freedom
@@ -157,3 +157,28 @@ def test_a_warp_of_several_pixels_is_found(name):
     parts = problem.units(problem.z)[list(split.held_out)]
     found = refit(problem, name, split, Whole(float(parts.mean()), parts), 0.0)
     assert found.z[first] == pytest.approx(z[first], rel=0.05) and found.closed > 0.9
+
+
+def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):
+    chain, params = plain_camera("GRBG")
+    gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((4, 3), 1.1, np.float32))}
+    names = ["vignetting", "sharpening", "saturation", "green_imbalance"]
+    effects = [e for e in candidates(RAW_JPEG) if e.name in names]
+    model = build(chain, params, gains, plain_freedom(), effects)
+    light = jnp.concatenate([mosaics()] * 2)
+    z = np.zeros(len(model.coordinates))
+    for i in model.indices(["vignetting", "sharpening"]):
+        z[i] = 2 * model.steps[i]
+    mask = np.ones(light.shape, bool)
+    problem = Problem(model, Pairs(("a", "b", "c", "d"), light, model.render(z, light), mask))
+    split = Split((0, 2), (1, 3))
+    parts = problem.units(problem.z)[list(split.held_out)]
+    whole = Whole(float(parts.mean()), parts)
+    screen(problem, names, split)  # whose columns the fits start with
+
+    def found(cores: int) -> list[np.ndarray]:
+        monkeypatch.setattr(threads, "_cores", lambda: cores)
+        monkeypatch.setattr(threads, "MOST", cores)
+        return [t.z for t in threads.each(lambda name: refit(problem, name, split, whole, 0.0, 2), names)]
+
+    np.testing.assert_array_equal(found(3), found(1))
