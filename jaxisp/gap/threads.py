@@ -4,10 +4,11 @@ A program for a few small pictures keeps one core busy for much of its time, and
 """
 
 import contextlib
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
+
+from jaxisp import cores
 
 _One = TypeVar("_One")
 _Found = TypeVar("_Found")
@@ -21,7 +22,7 @@ def each(look: Callable[[_One], _Found], points: Iterable[_One]) -> list[_Found]
     The first is looked at alone: two threads that came to a new program at once would both compile it.
     """
     points = list(points)
-    count = min(_cores(), MOST, len(points) - 1)
+    count = min(cores.available(), MOST, len(points) - 1)
     if count < 2:
         return [look(point) for point in points]
     with ThreadPoolExecutor(count) as pool:
@@ -35,8 +36,3 @@ def beside(work: Callable[[], object]) -> Iterator[None]:
         done = pool.submit(work)
         yield
         done.result()
-
-
-def _cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -176,9 +176,9 @@ def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):
     whole = Whole(float(parts.mean()), parts)
     screen(problem, names, split)  # whose columns the fits start with
 
-    def found(cores: int) -> list[np.ndarray]:
-        monkeypatch.setattr(threads, "_cores", lambda: cores)
-        monkeypatch.setattr(threads, "MOST", cores)
+    def found(count: int) -> list[np.ndarray]:
+        monkeypatch.setattr(threads.cores, "available", lambda: count)
+        monkeypatch.setattr(threads, "MOST", count)
         return [t.z for t in threads.each(lambda name: refit(problem, name, split, whole, 0.0, 2), names)]
 
     np.testing.assert_array_equal(found(3), found(1))

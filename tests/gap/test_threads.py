@@ -21,7 +21,7 @@ def test_an_error_comes_through(monkeypatch):
 
 
 def test_points_are_looked_at_at_once(monkeypatch):
-    monkeypatch.setattr(threads, "_cores", lambda: 2)
+    monkeypatch.setattr(threads.cores, "available", lambda: 2)
     monkeypatch.setattr(threads, "MOST", 2)
     met = threading.Barrier(2, timeout=30)
     threads.each(lambda n: n == 0 or met.wait(), range(3))
