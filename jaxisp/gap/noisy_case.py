@@ -28,6 +28,7 @@ from jaxisp.gap.statistics import compile_features
 from jaxisp.gap.stepwise import Tick
 from jaxisp.gap.threads import beside
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
@@ -81,8 +82,7 @@ def clean_case(
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
     cfa = described.cfa if described else None
-    counts = {len(pairs.names), len(split.fit)}
-    with beside(lambda: compile_features(counts, _inside(pairs))):  # one core's time, while the other fits
+    with beside(lambda: compile_features({len(pairs.names), len(split.fit)}, _inside(pairs))):
         camera, mean = fit_mean(file, pairs, split.fit, cfa)
     strays = _strays(mean, split, doubted)
     kept = [p for p in loaded if p.name not in strays]
@@ -102,11 +102,15 @@ def clean_case(
         case = _given(given, pairs, seen, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
     reference = _toned(case.problem.pairs.light, None if believed else mean)
+    return dataclasses.replace(case, offered=_not_stated(case, file), reference=reference)
+
+
+def _not_stated(case: Case, file: Jpeg | None) -> list[str]:
+    """The effects that are offered, but for what the file's header states."""
     stated = prepare.stated_by(file)
     if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
         stated.add("double_compression")
-    offered = [name for name in case.offered if name not in stated]
-    return dataclasses.replace(case, offered=offered, reference=reference)
+    return [name for name in case.offered if name not in stated]
 
 
 def _laid_alike(

@@ -74,7 +74,7 @@ def features(
 
 
 def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:
-    """Compile what takes longest to of `features`, of so many pictures of (h, w), before there are any."""
+    """Compile the parts of `features` that take longest, for so many pictures of (h, w) each."""
     black, mask = jnp.zeros((*shape, 3)), jnp.zeros(shape)
     _noise_part(black, black, black, mask, unknown_codes(shape))
     for n in counts:
