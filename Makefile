@@ -3,17 +3,21 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 
 demo: $(READY)
 	$(BIN)/jaxisp demo --out demo
 
+# most programs run once and compile quickly; tests marked `optimised` compile as users do
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow and not optimised"
+	JAXISP_TESTS_OPTIMISED=1 $(PYTEST) -m "not slow and optimised"
 
 test-all: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(PYTEST) -m "not slow and not optimised"
+	JAXISP_TESTS_OPTIMISED=1 $(PYTEST) -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -1,12 +1,18 @@
 """Shared test images and settings. Devices are forced to 8 so that sharding is tested on any machine."""
 
-import functools
 import gc
 import os
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+if "JAXISP_TESTS_OPTIMISED" not in os.environ:
+    # Most programs of tests run once, on small pictures: like this they compile in a third of the time.
+    # Tests that run much, or that depend on the code that users run, are marked `optimised`.
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+    if version("jaxlib").startswith("0.10."):  # others may not know it, and would stop
+        os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -33,8 +39,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     threads.MOST = 1  # the workers use the cores
 
 _MOST_MEMORY = 3e9  # bytes
-quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-"""Compiles in half the time: for gradients of small pictures, which take no time to run."""
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.get_closest_marker("optimised") and "JAXISP_TESTS_OPTIMISED" not in os.environ:
+            item.add_marker(pytest.mark.skip("of optimised programs: JAXISP_TESTS_OPTIMISED=1 runs it"))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -45,15 +55,6 @@ def room():
     if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
-
-
-@pytest.fixture
-def quickly():
-    """All programs of a test compile as `quick_jit`'s do: for small pictures, where code that is not
-    optimised takes no time to run, and what is asked is how programs agree."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture

@@ -16,6 +16,8 @@ from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 
+pytestmark = pytest.mark.optimised
+
 SIDE = 400
 HIGHEST = jax.lax.Precision.HIGHEST
 

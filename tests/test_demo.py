@@ -3,6 +3,7 @@
 import functools
 import json
 
+import pytest
 from PIL import Image
 
 import jaxisp.demo
@@ -13,6 +14,8 @@ from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.train import TrainConfig
+
+pytestmark = pytest.mark.optimised
 
 
 def test_demo(tmp_path, capsys, monkeypatch):

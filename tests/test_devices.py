@@ -16,6 +16,8 @@ from jaxisp.data.loader import degrader
 from jaxisp.recipes import RECIPES
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.optimised
+
 IMAGES = np.stack([smooth_image((22, 18, 3), i) for i in range(16)]).astype(np.float32)
 
 PROCESS = """

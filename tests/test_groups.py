@@ -11,8 +11,6 @@ from jaxisp.pipeline import Chain, run_batch, stage
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.noise import GaussianNoise
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 
 @pytest.mark.parametrize(
     "images, pixels, stages, size",

@@ -8,8 +8,6 @@ from jax.test_util import check_grads
 
 from jaxisp.linear import inner_product, linear_call, pointwise, scaled
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 MATRIX = np.random.default_rng(0).standard_normal((4, 3))
 
 

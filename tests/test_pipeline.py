@@ -27,8 +27,6 @@ from jaxisp.pipeline import (
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
 from tests.conftest import smooth_image
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 
 @parameters
 class Gain:
@@ -183,6 +181,7 @@ def test_batch_equals_loop_and_map():
     np.testing.assert_allclose(mapped, batch, atol=1e-5)
 
 
+@pytest.mark.optimised
 def test_a_sample_has_the_same_bits_at_any_batch_size():
     params = CHAIN.init()
     whole = np.asarray(run_batch(CHAIN, params, IMAGES, KEY, 0))
@@ -212,6 +211,7 @@ def test_switches_and_orders_per_image():
     assert each[0] == 0 != each[1]
 
 
+@pytest.mark.optimised
 def test_a_sample_has_the_same_bits_on_eight_devices():
     assert jax.device_count() == 8
     images = np.concatenate([IMAGES, IMAGES])

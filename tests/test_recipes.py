@@ -15,8 +15,6 @@ from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
 from tests.conftest import smooth_image
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 KEY = jax.random.key(5)
 IMAGES = np.stack([smooth_image((24, 32, 3), i) for i in range(8)]).astype(np.float32)
 CONTRACT = {
@@ -50,6 +48,7 @@ def test_toml_round_trip(name):
     assert back.chain == recipe.chain
 
 
+@pytest.mark.optimised
 @pytest.mark.slow
 def test_the_phone_is_the_same_bits_at_any_batch_size_and_on_eight_devices():
     recipe = RECIPES["phone"]()

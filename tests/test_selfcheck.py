@@ -6,6 +6,8 @@ import pytest
 
 from jaxisp import selfcheck
 
+pytestmark = pytest.mark.optimised
+
 
 @pytest.fixture(autouse=True)
 def unchecked(monkeypatch):

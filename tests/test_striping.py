@@ -15,8 +15,6 @@ from jaxisp.stages.detail import UnsharpMask
 from jaxisp.striping import in_strips, in_strips_on_cpu
 from jaxisp.windows import pad, views
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 UNSHARP = {"unsharp_mask": UnsharpMask(amount=0.8, sigma=0.9, threshold=0.02)}
 BLUR = {"optical_blur": OpticalBlur(sigma=0.9)}
 

@@ -10,8 +10,6 @@ from jaxisp.stages import STAGES
 from jaxisp.strips import REACH, reach, run_in_strips
 from tests.conftest import smooth_image
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},
     "unsharp_mask": {"radius": 3},

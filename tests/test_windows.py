@@ -9,8 +9,6 @@ from jax.test_util import check_grads
 
 from jaxisp.windows import _MOST_TAPS, filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 
 @pytest.mark.parametrize("shape", [(21, 34), (9, 5), (3, 40), (1, 7), (2, 2)])
 def test_filter_matches_scipy(shape, rng, x64):

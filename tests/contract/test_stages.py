@@ -12,9 +12,7 @@ import pytest
 from jaxisp.params import map_specs, specs
 from jaxisp.pipeline import run, run_batch, sections, signature, stage
 from jaxisp.stages import STAGES
-from tests.conftest import quick_jit, smooth_image
-
-pytestmark = pytest.mark.usefixtures("quickly")
+from tests.conftest import smooth_image
 
 SHAPE = (21, 34)
 NAMES = sorted(STAGES)
@@ -45,7 +43,7 @@ def params_for(name: str, share=None, seed: int = 0, dtype=np.float32):
 def gradient(name: str):
     """A weighted sum of the output, and its gradient by parameters and image; compiled once for all tests."""
     s = stage(name)
-    return quick_jit(jax.value_and_grad(lambda p, x, w, key: jnp.sum(s(p, x, key=key) * w), argnums=(0, 1)))
+    return jax.jit(jax.value_and_grad(lambda p, x, w, key: jnp.sum(s(p, x, key=key) * w), argnums=(0, 1)))
 
 
 def weights_for(name: str) -> np.ndarray:
@@ -126,7 +124,7 @@ def test_gradient_matches_finite_differences(name, x64):
     weights = rng.standard_normal(jax.eval_shape(lambda: s(params, image, key=key)).shape)
 
     # one program: its values are differenced too
-    both = quick_jit(jax.value_and_grad(lambda p, x: jnp.sum(s(p, x, key=key) * weights), argnums=(0, 1)))
+    both = jax.jit(jax.value_and_grad(lambda p, x: jnp.sum(s(p, x, key=key) * weights), argnums=(0, 1)))
     direction = jax.tree.map(lambda v: rng.standard_normal(np.shape(v)) * (np.abs(v) + 1e-3), (params, image))
     grads = both(params, image)[1]
     got = sum(float(np.sum(g * d)) for g, d in zip(jax.tree.leaves(grads), jax.tree.leaves(direction)))

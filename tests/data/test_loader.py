@@ -34,6 +34,7 @@ def test_batches_are_those_of_the_source_for_grain(source):
             np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.optimised
 def test_bits_are_the_same_on_eight_devices(source):
     recipe, devices = RECIPES["amwgn"](), jax.devices()
     mesh = Mesh(np.asarray(devices), ("batch",))

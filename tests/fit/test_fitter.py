@@ -21,6 +21,8 @@ from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
 
+pytestmark = pytest.mark.optimised
+
 
 def psnr(a, b):
     return -10 * np.log10(np.mean((np.asarray(a) - b) ** 2))

@@ -13,6 +13,8 @@ from jaxisp.fit.search import Options, Search
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.tiles import prepare
 
+pytestmark = pytest.mark.optimised
+
 COLUMNS = (
     ("geometry", "shift_x"),
     ("lateral_chromatic_aberration", "red_scale"),

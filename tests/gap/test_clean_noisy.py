@@ -27,6 +27,8 @@ from jaxisp.io.settings import Settings
 from jaxisp.pipeline import Chain, run, stage
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.optimised
+
 COUNT, SIZE = 4, 128
 TRIED = ("vignetting", "optical_blur", "row_noise", "column_noise", "correlated_noise", "film_grain",
          "heavy_tailed_noise", "color_shading", "sharpening")  # fmt: skip

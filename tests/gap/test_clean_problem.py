@@ -21,6 +21,8 @@ from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.optimised
+
 SIDE, COUNT, SHIFT = 80, 2, 0.03
 
 

@@ -10,6 +10,8 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 
+pytestmark = pytest.mark.optimised
+
 BODY = "birch"
 
 

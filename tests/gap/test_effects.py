@@ -62,6 +62,7 @@ def test_the_vocabulary_is_complete():
     }  # fmt: skip
 
 
+@pytest.mark.optimised
 def test_nothing_is_changed_while_all_are_off(model):
     chain, params = plain_camera("GRBG")
     own = params | {"mosaic_white_balance": WhiteBalance(gains=np.full(3, 1.1, np.float32))}

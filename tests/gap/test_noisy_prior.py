@@ -13,6 +13,8 @@ from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from tests.conftest import smooth_image
 
+pytestmark = pytest.mark.optimised
+
 SIDE = 64
 
 

@@ -12,8 +12,6 @@ from jaxisp.models.ffdnet import estimate_noise
 from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
 from jaxisp.models.n3net import N3Block, _candidates
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 SMALL = {
     "fast": {"depth": 3, "features": 8},
     "unet": {"features": (8, 8), "depth": 1},

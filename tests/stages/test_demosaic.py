@@ -172,6 +172,7 @@ def ahd_by_arrays(mosaic, cfa, delta, passes):
     ("cfa", "delta", "passes"),
     [("RGGB", 2, 0), ("BGGR", 2, 2), ("GRBG", 1, 0), ("GBRG", 2, 3), ("RGGB", 3, 0)],
 )
+@pytest.mark.optimised
 def test_ahd_matches_the_papers_equations(cfa, delta, passes, x64):
     for mosaic in (smooth_image(SHAPE), 1.5 * smooth_image(SHAPE, 1) - 0.2):
         got = run("demosaic_ahd", mosaic, cfa=cfa, delta=delta, median_passes=passes)

@@ -10,8 +10,6 @@ from jaxisp.stages.demosaic.strips import reach
 from tests.conftest import smooth_image
 from tests.stages.test_demosaic import SHAPE, compiled
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 VARIANTS = [
     ("demosaic_bilinear", {"cfa": "GBRG"}),
     ("demosaic_malvar", {"cfa": "BGGR"}),

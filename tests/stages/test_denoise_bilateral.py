@@ -8,7 +8,7 @@ import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane, bilateral_planes
-from tests.conftest import quick_jit, smooth_image
+from tests.conftest import smooth_image
 
 SIZES = ((9, 14), (1, 6), (2, 7))  # radius 2 also reaches beyond both borders
 filtered = jax.jit(bilateral_plane, static_argnums=4)
@@ -76,7 +76,7 @@ def test_gradient_equals_plain_autodiff(shape, rng, x64):
         return jnp.sum(first * weight_a + second**2 * weight_b)
 
     argnums = tuple(range(5))
-    got, want = (quick_jit(jax.grad(f, argnums))(*arguments) for f in (ours, plain))
+    got, want = (jax.jit(jax.grad(f, argnums))(*arguments) for f in (ours, plain))
     for g, w in zip(got, want):
         assert np.abs(w).max() > 1e-3
         np.testing.assert_allclose(g, w, atol=1e-12)
@@ -91,7 +91,7 @@ def test_gradient_equals_finite_differences(rng, x64):
     def loss(plane, sigmas):
         return jnp.sum(bilateral_plane(plane, plane, sigmas[0], sigmas[1], 4) * weights)
 
-    slope, by_sigma = quick_jit(jax.grad(loss, (0, 1)))(plane, sigmas)
+    slope, by_sigma = jax.jit(jax.grad(loss, (0, 1)))(plane, sigmas)
     ends = [loss(plane + e * direction, sigmas + e * turn) for e in (h, -h)]
     got = np.sum(slope * direction) + np.sum(by_sigma * turn)
     np.testing.assert_allclose(got, (ends[0] - ends[1]) / (2 * h), rtol=1e-7)
@@ -104,8 +104,8 @@ def test_forward_mode_is_the_transpose_of_reverse_mode(rng, x64):
     change = jax.tree.map(lambda x: rng.standard_normal(x.shape), arguments)
     cotangent = tuple(rng.standard_normal((2, *a.shape)))
     batched = jax.jit(jax.vmap(lambda *x: bilateral_planes(*x, 2)))
-    out, tangent = quick_jit(lambda x, d: jax.jvp(batched, x, d))(arguments, change)
-    pulled = quick_jit(lambda x, c: jax.vjp(batched, *x)[1](c))(arguments, cotangent)
+    out, tangent = jax.jit(lambda x, d: jax.jvp(batched, x, d))(arguments, change)
+    pulled = jax.jit(lambda x, c: jax.vjp(batched, *x)[1](c))(arguments, cotangent)
     leaves = jax.tree.leaves
     inner = sum(np.sum(x * y) for x, y in zip(leaves(pulled), leaves(change)))
     np.testing.assert_allclose(sum(np.sum(t * c) for t, c in zip(tangent, cotangent)), inner, rtol=1e-10)

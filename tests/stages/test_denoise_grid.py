@@ -12,7 +12,7 @@ from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.recipes import BILATERAL, RECIPES
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane
 from jaxisp.stages.denoise.grid import grid_planes
-from tests.conftest import quick_jit, smooth_image
+from tests.conftest import smooth_image
 
 filtered = jax.jit(grid_planes, static_argnums=(4, 5))
 SHAPE = (57, 70)  # of most tests: compilation is what takes time
@@ -111,7 +111,7 @@ def test_colour_stays_inside_its_edge():
         np.testing.assert_allclose(out, plane, atol=2e-4)
 
 
-@quick_jit
+@jax.jit
 def with_slopes(planes, guide, sigma_space, sigma_range):
     """The planes and the gradient to everything; few bins, as each costs compile time."""
     loss = lambda *a: (jnp.sum(grid_planes(*a, 2, 4)[0] ** 2), grid_planes(*a, 2, 4))  # noqa: E731
@@ -143,7 +143,7 @@ def test_gradient_in_both_modes_equals_finite_differences(shape, cell, rng, x64)
         first, second = grid_planes(*arguments, cell, 4)
         return jnp.sum(first * weights + second**2)
 
-    @quick_jit  # one program: compilation is what takes time
+    @jax.jit  # one program: compilation is what takes time
     def all_of_it(arguments):
         value, forward = jax.jvp(loss, (arguments,), (turn,))
         return value, forward, jax.grad(loss)(arguments)

@@ -10,7 +10,6 @@ from scipy import ndimage
 from jaxisp.pipeline import stage
 from jaxisp.stages import optics
 from jaxisp.stages.optics import displacement
-from tests.conftest import quick_jit
 
 from .lens import CENTRE, H, W, apply, offsets, picture, squared_radius
 
@@ -99,7 +98,7 @@ def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shap
     image, change, weights = np.random.default_rng(0).random((3, *shape))
     moved = jax.tree.map(lambda v: jnp.full_like(v, 0.5), params)
 
-    @quick_jit
+    @jax.jit
     def both_ways(given, turn, weights):
         _, tangent = jax.jvp(lambda p, x: node(p, x), given, turn)
         return tangent, jax.vjp(lambda p, x: node(p, x), *given)[1](weights)

@@ -50,6 +50,7 @@ def by_quality(subsampling: str):
     return jax.jit(jax.vmap(one, in_axes=(0, None)))
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
 @pytest.mark.parametrize("kind", ["smooth", "noise", "binary"])
 def test_every_quality_is_pillows(subsampling, kind):
@@ -59,6 +60,7 @@ def test_every_quality_is_pillows(subsampling, kind):
     np.testing.assert_array_equal(got, want)
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 35), (2, 19), (7, 9), (9, 4), (17, 5), (17, 33)])
 def test_every_size_is_pillows(subsampling, shape):
@@ -68,6 +70,7 @@ def test_every_size_is_pillows(subsampling, shape):
     np.testing.assert_array_equal(got, [pillow(image, subsampling, quality=int(q)) for q in qualities])
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
 def test_custom_tables_are_pillows(subsampling, rng):
     """Another picture and other tables in each place of a batch."""

@@ -16,7 +16,7 @@ from jaxisp.stages.resampling import (
     rescaling,
     resize,
 )
-from tests.conftest import quick_jit, smooth_image
+from tests.conftest import smooth_image
 
 FILTERS = {
     "bilinear": Image.Resampling.BILINEAR,
@@ -112,7 +112,7 @@ def test_resampling_of_a_large_image_is_banded_and_the_same(method):
         return resampling(Resampling(factor=factor), x, method=method)
 
     calls = [
-        quick_jit(jax.grad(lambda f, x, c=c: jnp.sum(weights * c(f, x)), argnums=(0, 1)))
+        jax.jit(jax.grad(lambda f, x, c=c: jnp.sum(weights * c(f, x)), argnums=(0, 1)))
         for c in (blocks, whole)
     ]
     for factor in (1.0, 1.37, 2.0, 4.0):

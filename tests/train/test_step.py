@@ -14,8 +14,6 @@ from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train import TrainConfig, degrader, init_state, make_step, schedule, weights
 from jaxisp.train.step import split_model
 
-pytestmark = pytest.mark.usefixtures("quickly")
-
 KEY = jax.random.key(7)
 CLEAN = np.random.default_rng(0).random((8, 12, 12, 3), np.float32)
 
