@@ -33,7 +33,8 @@ from jaxisp.gap import threads
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")
-gc.set_threshold(200_000, 20, 100)  # tracing makes millions of small objects that stay: a sixth of the time
+# tracing makes millions of small objects that stay: a sixth of the time; `room` looks through all of them
+gc.set_threshold(200_000, 20, 100_000)
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     threads.MOST = 1  # the workers use the cores

@@ -162,7 +162,7 @@ def test_new_values_do_not_retrace(name):
         return s(p, x, key=k)
 
     for seed in range(2):  # tracing is all that is asked; nothing is compiled
-        counted.lower(params_for(name, seed=seed), image_for(name, seed), jax.random.key(seed))
+        counted.trace(params_for(name, seed=seed), image_for(name, seed), jax.random.key(seed))
     assert len(traces) == 1
 
 
