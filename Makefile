@@ -12,12 +12,12 @@ demo: $(READY)
 
 # most programs run once and compile quickly; tests marked `optimised` compile as users do
 test: $(READY)
-	$(PYTEST) -m "not slow and not optimised"
-	JAXISP_TESTS_OPTIMISED=1 $(PYTEST) -m "not slow and optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
+	$(PYTEST) -m "not slow and optimised"
 
 test-all: $(READY)
-	$(PYTEST) -m "not slow and not optimised"
-	JAXISP_TESTS_OPTIMISED=1 $(PYTEST) -m "slow or optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
+	$(PYTEST) -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .

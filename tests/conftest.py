@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
-if "JAXISP_TESTS_OPTIMISED" not in os.environ:
+if os.environ.get("JAXISP_TESTS_QUICK"):
     # Most programs of tests run once, on small pictures: like this they compile in a third of the time.
     # Tests that run much, or that depend on the code that users run, are marked `optimised`.
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
@@ -40,12 +40,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     threads.MOST = 1  # the workers use the cores
 
 _MOST_MEMORY = 3e9  # bytes
-
-
-def pytest_collection_modifyitems(items):
-    for item in items:
-        if item.get_closest_marker("optimised") and "JAXISP_TESTS_OPTIMISED" not in os.environ:
-            item.add_marker(pytest.mark.skip("of optimised programs: JAXISP_TESTS_OPTIMISED=1 runs it"))
 
 
 @pytest.fixture(scope="module", autouse=True)

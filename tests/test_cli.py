@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -235,7 +236,7 @@ def test_it_runs_as_a_module():
 
 def test_where_there_is_no_terminal_progress_is_a_line_now_and_then(capsys, monkeypatch):
     now = iter([0.0, 29.0, 31.0, 31.0, 40.0, 62.0, 62.0])
-    monkeypatch.setattr(common.time, "monotonic", lambda: next(now))
+    monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: next(now)))
     with common.progress("fit") as tick:
         tick(1, 9, "one")
         tick(2, 9, "two")
