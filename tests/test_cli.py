@@ -3,14 +3,13 @@
 import json
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.cli import common, main
+from jaxisp.cli import main
 from jaxisp.io import open_dataset
 from jaxisp.recipes import RECIPES
 from tests.conftest import smooth_image
@@ -232,15 +231,3 @@ def test_a_read_only_folder_is_one_line_before_any_work(capsys, photographs, tmp
 def test_it_runs_as_a_module():
     done = subprocess.run([sys.executable, "-m", "jaxisp", "--version"], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("jaxisp ")
-
-
-def test_where_there_is_no_terminal_progress_is_a_line_now_and_then(capsys, monkeypatch):
-    now = iter([0.0, 29.0, 31.0, 31.0, 40.0, 62.0, 62.0])
-    monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    with common.progress("fit") as tick:
-        tick(1, 9, "one")
-        tick(2, 9, "two")
-        tick(3, 9, "three")
-        tick(4, 9)
-    out, err = capsys.readouterr()
-    assert out == "" and err.splitlines() == ["fit two, 2 of 9", "fit, 4 of 9"]

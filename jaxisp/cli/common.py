@@ -4,7 +4,6 @@ import argparse
 import difflib
 import json
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -77,35 +76,17 @@ def report_failures(failed: Iterable[tuple[str, str]]) -> int:
     return 2 if reasons else 0
 
 
-_LINE_EVERY = 30.0  # seconds
-
-
 @contextmanager
 def progress(label: str) -> Iterator[Any]:
-    """`tick(done, total, text)` on standard error: a bar on a terminal, a line now and then in a log."""
-    if not sys.stderr.isatty():
-        yield _lines(label)
-        return
+    """`tick(done, total, text)` drawn on standard error, on a terminal only."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task(label, total=None)
 
         def tick(done: int, total: int, text: str = "") -> None:
             bar.update(task, completed=done, total=total, description=f"{label} {text}".strip())
 
         yield tick
-
-
-def _lines(label: str) -> Any:
-    said = time.monotonic()
-
-    def tick(done: int, total: int, text: str = "") -> None:
-        nonlocal said
-        if time.monotonic() - said >= _LINE_EVERY:
-            said = time.monotonic()
-            print(f"{label} {text}".strip() + f", {done} of {total}", file=sys.stderr, flush=True)
-
-    return tick
