@@ -40,8 +40,8 @@ def _fine_and_spots(r: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _repeated(values: jax.Array, which: jax.Array, plain: float = _PLAIN) -> jax.Array:
     """(N, C) correlation with the mean of the others, beyond what is plain its logarithm: a pattern repeats
     or does not; how much of it is seen beside a scene's light and noise is a matter of few pixels."""
-    flat = values.reshape(*values.shape[:2], -1)
-    products = jnp.einsum("ncp,mcp->cnm", flat, flat, precision="highest")
+    flat = materialize(values.reshape(*values.shape[:2], -1).swapaxes(0, 1))  # else four times as long
+    products = jnp.einsum("cnp,cmp->cnm", flat, flat, precision="highest")
     both = jnp.einsum("cnm,nm->nc", products, which, precision="highest")
     theirs = jnp.einsum("nm,cmk,nk->nc", which, products, which, precision="highest")
     found = both / (jnp.sqrt(jnp.einsum("cnn->nc", products) * theirs) + 1e-6)

@@ -19,6 +19,8 @@ from jaxisp.samples import scene
 from jaxisp.stages.choice import ChromaSubsampling
 from tests.fit.test_fitter import psnr
 
+pytestmark = pytest.mark.optimised  # the fit that they start from is the fitter's tests' own
+
 
 @pytest.mark.slow
 def test_a_prior_of_fitted_cameras_degrades_photographs(result, tmp_path, capsys):
