@@ -3,9 +3,9 @@
 import copy
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jaxisp.gap import noisy_tones as tones
 from jaxisp.gap.measured import Ladders, Part, Rows, Split
 from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
-from jaxisp.gap.noisy_mean import normalised_regressors
+from jaxisp.gap.noisy_mean import Maps, normalised_regressors
 from jaxisp.gap.noisy_start import noisier, placed, starts, told_by_noise
 from jaxisp.gap.noisy_units import by_place, emphasis, emphasised, noise_only, repeats, units, weights
 from jaxisp.gap.noisy_where import credited, in_one_place, located
@@ -30,12 +30,35 @@ _KEPT = 128
 _FEWEST = 4  # scenes that tell how they differ
 
 
+class Reference(NamedTuple):
+    """What pictures are looked at against.
+
+    Attributes:
+        picture: (N, h, w, 3) without noise.
+        maps: `normalised_regressors` of it.
+    """
+
+    picture: jax.Array
+    maps: Sequence[tuple[Maps, ...]]
+
+    @classmethod
+    def of(cls, picture: np.ndarray, mask: jax.Array) -> "Reference":
+        return cls(jnp.asarray(picture), normalised_regressors(picture, mask))
+
+    def take(self, index: Sequence[int]) -> "Reference":
+        return Reference(self.picture[np.array(index)], [self.maps[i] for i in index])
+
+
 class StatisticsProblem:
     """Statistics of the real pictures against those of simulated ones; has what `Problem` has.
 
     Differences are averaged over the pairs of a half before they are squared: what a camera does is alike in
     all of its pictures, and chance is not. The noise of a simulated picture is drawn from one key a pair,
     whatever the parameters, so that a change of statistics is the parameters' doing.
+
+    A clean picture whose file compressed it lacks what that took, and the noisy one does not. What that was
+    nobody knows; what compressing it once more takes is alike. So a simulated picture, made of the clean one,
+    is looked at against that compressed again, as a real one is against the clean one.
     """
 
     references: Mapping[int, float] = MappingProxyType({})
@@ -47,7 +70,7 @@ class StatisticsProblem:
         self,
         model: Model,
         pairs: Pairs,
-        noise_free: np.ndarray,
+        noise_free: Callable[[jax.Array], np.ndarray],
         split: Split,
         seen: Codes,
         choices: Sequence[Choice] = (),
@@ -57,11 +80,14 @@ class StatisticsProblem:
         self.choices = choices
         self.inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.mask = jnp.asarray(pairs.mask[self.inner], jnp.float32)
-        self.base_picture = jnp.asarray(noise_free[self.inner])
         self.target = to_steps(pairs.pictures[self.inner])
         self.weight = np.sqrt(np.broadcast_to(np.asarray(self.mask)[..., None], self.target.shape))
         self._frames = frames_of([scene_name(name) for name in pairs.names])
-        self._maps = normalised_regressors(self.base_picture, self.mask)
+        light, again = pairs.light, pairs.again
+        self.reference = Reference.of(noise_free(light)[self.inner], self.mask)
+        self.again = self.reference
+        if again is not None:
+            self.again = Reference.of(noise_free(again)[self.inner], self.mask)
         self._codes = seen
         self._weights = weights(self._frames.repeated)
         self._counted = np.ones_like(self._weights)
@@ -69,7 +95,7 @@ class StatisticsProblem:
         self._before: np.ndarray | None = None  # what blocks are off by where a fit starts
         self._known: dict[tuple[int, bytes], tuple[Model, tuple[np.ndarray, np.ndarray]]] = {}
         self.fresh: Sequence[int] = told_by_noise(model)
-        self.real = self.measured(self.target)
+        self.real = self.measured(self.target, self.reference)
         self.floors = np.ones(len(pairs.names))
         self._numbers = list(range(len(pairs.names)))  # of the keys
         self._tones = tones.of(self.target, self.mask)
@@ -91,7 +117,7 @@ class StatisticsProblem:
 
     def simulated(self, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, F) statistics of a simulated set."""
-        return self.measured(self.picture(z, replicate))
+        return self.measured(self.picture(z, replicate), self.again)
 
     def _seen(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, F) statistics and (N, T) tones of a simulated set, these and the mean's statistics without the
@@ -107,20 +133,23 @@ class StatisticsProblem:
 
     def _looked_at(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         picture, still = self.picture(z), self.model.still(z)
-        found = self.measured(picture)
+        found = self.measured(picture, self.again)
         if (still != z).any():
             picture = self.picture(still)
-            means = mean_features(jnp.asarray(picture), self.base_picture, self.mask, self._maps)
+            means = mean_features(jnp.asarray(picture), self.again.picture, self.mask, self.again.maps)
             found[:, : means.shape[1]] = means
         return found, tones.of(picture, self.mask)
 
-    def measured(self, pictures: np.ndarray, part: tuple[slice, slice] | None = None) -> np.ndarray:
+    def measured(
+        self, pictures: np.ndarray, against: Reference, part: tuple[slice, slice] | None = None
+    ) -> np.ndarray:
         """(N, F) statistics of pictures in steps, their border cut off; of a part of the frame, or all."""
         mask = self.mask
         if part is not None:
             mask = jnp.zeros_like(mask).at[:, *part].set(mask[:, *part])
-        scene = (self.base_picture, mask, self._maps, self._frames, self._codes)
-        found = features(jnp.asarray(pictures), *scene)
+        found = features(
+            jnp.asarray(pictures), against.picture, mask, against.maps, self._frames, self._codes
+        )
         return np.asarray(found, float)
 
     def set_unit(self, emphasise: bool = False) -> None:
@@ -165,20 +194,19 @@ class StatisticsProblem:
     def _uneven(self, shares: np.ndarray) -> np.ndarray:
         """(N, F) how the noise's statistics differ from quarter to quarter of the frame: the variance of
         their mean over a half. Hot pixels are few, and the same in all pictures. 0 for the mean's."""
-        found = [
-            self._mean(shares * own) for own in self._real_quarters - self._quarters(self.picture(self.z))
-        ]
+        simulated = self._quarters(self.picture(self.z), self.again)
+        found = [self._mean(shares * own) for own in self._real_quarters - simulated]
         return np.var(found, 0, ddof=1) / len(found) * by_place()
 
     @functools.cached_property
     def _real_quarters(self) -> np.ndarray:
-        return self._quarters(self.target)
+        return self._quarters(self.target, self.reference)
 
-    def _quarters(self, pictures: np.ndarray) -> np.ndarray:
+    def _quarters(self, pictures: np.ndarray, against: Reference) -> np.ndarray:
         """(4, N, F) statistics of each quarter of the frame."""
         height, width = (n // 2 for n in self.mask.shape[1:])
         sides = [slice(None, height), slice(height, None)], [slice(None, width), slice(width, None)]
-        return np.stack([self.measured(pictures, part) for part in itertools.product(*sides)])
+        return np.stack([self.measured(pictures, against, part) for part in itertools.product(*sides)])
 
     def _half(self, pair: int) -> list[int]:
         return list(self.split.fit if pair in self.split.fit else self.split.held_out)
@@ -260,11 +288,11 @@ class StatisticsProblem:
 
     @property
     def residual(self) -> np.ndarray:
-        return (self.target - np.asarray(self.base_picture)) * self.weight
+        return (self.target - self.current) * self.weight
 
     @property
     def current(self) -> np.ndarray:
-        return np.asarray(self.base_picture)
+        return np.asarray(self.reference.picture)
 
     def choose(self, choice: Choice) -> None:
         """Put a choice into the base, and stay at the same point."""
@@ -302,17 +330,14 @@ class StatisticsProblem:
         """What a problem of the fitted pairs alone has in place of the whole one's."""
         index = list(self.split.fit)
         own: dict[str, Any] = {"pairs": self.pairs.take(index), "split": Split(tuple(range(len(index))), ())}
-        own |= {
-            name: getattr(self, name)[np.array(index)]
-            for name in ("mask", "base_picture", "target", "_tones")
-        }
-        own["_maps"] = [self._maps[i] for i in index]
+        own |= {name: getattr(self, name)[np.array(index)] for name in ("mask", "target", "_tones")}
+        own |= {name: getattr(self, name).take(index) for name in ("reference", "again")}
         own["_frames"] = frames_of([scene_name(name) for name in own["pairs"].names])
         own["_numbers"] = index
         own["_known"] = {}
         part = copy.copy(self)
         part.__dict__.update(own)
-        return own | {"real": part.measured(part.target)}
+        return own | {"real": part.measured(part.target, part.reference)}
 
     def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
         def column(i: int) -> np.ndarray:
@@ -350,7 +375,7 @@ class StatisticsProblem:
         place = in_one_place(self.target - simulated, [scene_name(name) for name in self.pairs.names])
         if not place.any():
             return rows
-        without = self.measured(np.where(place[..., None], simulated, self.target))
+        without = self.measured(np.where(place[..., None], simulated, self.target), self.reference)
         left = self._mean(self._scale * self._counted * (without - self._simulated))
         index = list(held)
         return credited(rows, self.difference[index].mean(0), left[index].mean(0), self._weights)

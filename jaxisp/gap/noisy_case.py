@@ -169,9 +169,11 @@ def plain_case(
         Choice({"demosaicking": Demosaicking(shares=shares)}, {})
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
     ]
-    problem = StatisticsProblem(
-        model, mean.pairs, to_steps(mean.rendered(mean.z)), split, seen, choices, seed
-    )
+
+    def noise_free(light: jax.Array) -> np.ndarray:
+        return to_steps(mean.model.render(mean.z, light))
+
+    problem = StatisticsProblem(model, mean.pairs, noise_free, split, seen, choices, seed)
     tick(0, 3, "fitting the noise")
     before = model.shared["balanced_noise"]
     fit_noise(problem, split.fit, rebased)
@@ -193,7 +195,7 @@ def _given(
 ) -> Case:
     model, offered, absorbed = given.whole_model(effects)
     model, shown = _placed(model, pairs)
-    problem = StatisticsProblem(model, pairs, given.noise_free(pairs.light), split, seen, seed=seed)
+    problem = StatisticsProblem(model, pairs, given.noise_free, split, seen, seed=seed)
     tick(0, 3, "fitting what the simulator leaves open")
     fit_open(problem, given.open, split.fit)
     problem.model = given.rebased(problem.model, problem.z)
@@ -222,7 +224,7 @@ def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
     if np.abs(gains - common).max() > _UNLIKE:
         return exposed
     factor = np.exp(common) if abs(common) > np.log(2) else 1.0  # a clean picture tens of times as dark
-    return dataclasses.replace(pairs, light=pairs.light * np.float32(factor))
+    return pairs.relit(lambda light: light * np.float32(factor))
 
 
 def _codes(shared: Params, camera: Camera, pairs: Pairs) -> Codes:

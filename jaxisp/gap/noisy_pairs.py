@@ -3,17 +3,19 @@
 import dataclasses
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.color import srgb_to_linear
+from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
 from jaxisp.gap import prepare
 from jaxisp.gap.frame import Laid, row
-from jaxisp.gap.residual import BORDER, Pairs
+from jaxisp.gap.residual import BORDER, Pairs, as_stored
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.io.orientation import orient
 
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
@@ -76,7 +78,30 @@ def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
     pictures = np.stack([p.picture for p in loaded]).astype(np.float32)
     names = tuple(p.name for p in loaded)
     seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
-    return prepare.in_halves(Pairs(names, jnp.asarray(clean, jnp.float32), pictures, prepare.usable(seen)))
+    light, again = jnp.asarray(clean, jnp.float32), _compressed_again(clean, [p.clean_file for p in loaded])
+    return prepare.in_halves(Pairs(names, light, pictures, prepare.usable(seen), again))
+
+
+_GRIDS = ((0, 0), (3, 3), (5, 5))
+"""Rows and columns that blocks may start at. On the grid of the first time nothing would be lost."""
+
+
+def _compressed_again(clean: np.ndarray, files: Sequence[Jpeg | None]) -> jax.Array | None:
+    """(N, H, W, 3) linear light as the files' compression leaves it once more, each on the grid that costs it
+    most; None where no file has any."""
+    if all(file is None for file in files):
+        return None
+
+    def coarser(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
+        if file is None:
+            return picture
+        found = [
+            np.roll(as_stored(np.roll(picture, (y, x), (0, 1)), file), (-y, -x), (0, 1)) for y, x in _GRIDS
+        ]
+        return max(found, key=lambda stored: float(((stored - picture) ** 2).sum()))
+
+    encoded = np.clip(linear_to_srgb(clean), 0, 1)
+    return jnp.asarray(srgb_to_linear(np.stack([coarser(*own) for own in zip(encoded, files)])), jnp.float32)
 
 
 def _framed(pair: Loaded) -> Loaded | None:

@@ -58,5 +58,5 @@ def moved(pairs: Pairs, by: np.ndarray) -> Pairs:
     def turned(stack: np.ndarray) -> np.ndarray:
         return np.stack([np.roll(one, tuple(move), (0, 1)) for one, move in zip(stack, by)])
 
-    light = jnp.asarray(turned(np.asarray(pairs.light)))
-    return dataclasses.replace(pairs, light=light, pictures=turned(pairs.pictures), mask=turned(pairs.mask))
+    relit = pairs.relit(lambda light: jnp.asarray(turned(np.asarray(light))))
+    return dataclasses.replace(relit, pictures=turned(pairs.pictures), mask=turned(pairs.mask))

@@ -1,6 +1,5 @@
 """Clean+noisy pairs: the base's mean, fitted pixel by pixel."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -71,7 +70,7 @@ def _scaled(pairs: Pairs) -> Pairs:
     )
     if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
         ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
-    return dataclasses.replace(pairs, light=pairs.light * ratio.astype(np.float32)[:, None, None, None])
+    return pairs.relit(lambda light: light * ratio.astype(np.float32)[:, None, None, None])
 
 
 def _exposed(problem: Problem) -> tuple[Pairs, float]:
@@ -88,5 +87,5 @@ def _exposed(problem: Problem) -> tuple[Pairs, float]:
     damping = 1e-3 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-9
     gain = np.clip(1 + np.linalg.solve(gram + damping, slope[..., None])[..., 0], 0.5, 2)
     gain = np.clip(gain / np.exp(np.log(gain).mean(0)), 0.5, 2).astype(np.float32)
-    moved = dataclasses.replace(pairs, light=pairs.light * gain[:, None, None, :])
+    moved = pairs.relit(lambda light: light * gain[:, None, None, :])
     return moved, float(np.abs(gain - 1).max())

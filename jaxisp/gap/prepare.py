@@ -67,7 +67,9 @@ def in_halves(pairs: Pairs) -> Pairs:
     even = (y // 64 + x // 64) % 2 == 0
     names = tuple(f"{pairs.names[0]}{TILES}{which} tiles)" for which in ("even", "odd"))
     twice = np.concatenate([pairs.pictures] * 2)
-    return Pairs(names, jnp.concatenate([pairs.light] * 2), twice, np.stack([even, ~even]) & pairs.mask)
+    relit = pairs.relit(lambda light: jnp.concatenate([light] * 2))
+    mask = np.stack([even, ~even]) & pairs.mask
+    return dataclasses.replace(relit, names=names, pictures=twice, mask=mask)
 
 
 def usable(pictures: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ pictures: they exist where a derivative does not (medians, choices, roundings).
 import copy
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -31,17 +31,25 @@ BORDER = 8
 @dataclasses.dataclass(frozen=True)
 class Pairs:
     """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
-    and `mask` (N, H, W) of the pixels that count."""
+    and `mask` (N, H, W) of the pixels that count; `again` is a scene's light as the compression of its file
+    leaves it once more, None where there was none."""
 
     names: tuple[str, ...]
     light: jax.Array
     pictures: np.ndarray
     mask: np.ndarray
+    again: jax.Array | None = None
+
+    def relit(self, change: Callable[[jax.Array], jax.Array]) -> "Pairs":
+        """With this done to the light."""
+        again = None if self.again is None else change(self.again)
+        return dataclasses.replace(self, light=change(self.light), again=again)
 
     def take(self, which: Sequence[int]) -> "Pairs":
         index = np.asarray(which)
         names = tuple(self.names[i] for i in index)
-        return Pairs(names, self.light[index], self.pictures[index], self.mask[index])
+        own = self.relit(lambda light: light[index])
+        return dataclasses.replace(own, names=names, pictures=self.pictures[index], mask=self.mask[index])
 
 
 def to_steps(pictures: np.ndarray) -> np.ndarray:
@@ -249,7 +257,7 @@ def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, bloc
 def floor_difference(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
     """(N, h, w, 3) what rounding and the file's own compression do to the simulator's pictures, in steps."""
     whole = problem.model.render(problem.z, problem.pairs.light)
-    stored = np.stack([_as_stored(p, f) for p, f in zip(whole, files)])
+    stored = np.stack([as_stored(p, f) for p, f in zip(whole, files)])
     return to_steps(stored[problem.inner]) - to_steps(whole[problem.inner])
 
 
@@ -260,7 +268,8 @@ def floor_errors(problem: Problem, difference: np.ndarray) -> np.ndarray:
     return (difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2))
 
 
-def _as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
+def as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
+    """(H, W, 3) encoded, as a file with this one's header would have it; rounded where that says nothing."""
     if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
         return np.round(255 * picture) / 255
     luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, list_folder
-from jaxisp.io.images import read_image
+from jaxisp.io.images import read_image, read_with_header
 from jaxisp.io.jpeg import Jpeg, decode_jpeg, read_jpeg
 from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.orientation import orient, unorient
@@ -32,6 +32,8 @@ class Loaded:
         clean: (H, W, 3) float32 in the encoding of `settings`, upright, or None.
         embedded: whether the JPEG is the one inside the RAW.
         iso: from the RAW, the JPEG or dataset.toml, in that order.
+        clean_file: the file that the clean picture came from with its tables, where it is a JPEG that is
+            encoded as a picture is; else None.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Loaded:
     settings: Settings
     embedded: bool
     iso: float | None
+    clean_file: Jpeg | None = None
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class Pair:
         """Read both files; InputError names the one that is bad."""
         raw = read_raw(self.raw, self.settings.raw) if self.raw else None
         linear = self.settings.clean_encoding == "linear"
-        clean = read_image(self.clean, linear=linear) if self.clean else None
+        clean, file = read_with_header(self.clean, linear=linear) if self.clean else (None, None)
         embedded = self.output == self.raw
         jpeg = self._jpeg()
         if raw is not None:
@@ -76,9 +79,8 @@ class Pair:
         else:
             picture = read_image(self.output) if jpeg is None else jpeg.upright
         iso = (raw and raw.iso) or (jpeg and jpeg.iso) or self.settings.iso
-        return Loaded(
-            self.name, np.ascontiguousarray(picture), jpeg, raw, clean, self.settings, embedded, iso
-        )
+        picture, file = np.ascontiguousarray(picture), None if linear else file
+        return Loaded(self.name, picture, jpeg, raw, clean, self.settings, embedded, iso, file)
 
     def _jpeg(self) -> Jpeg | None:
         if self.output == self.raw:

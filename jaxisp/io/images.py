@@ -21,7 +21,7 @@ from jaxisp.io.files import (
     load_npy,
     read_bytes,
 )
-from jaxisp.io.jpeg import decode_jpeg, orientation_of, profile_to_srgb, to_bytes, why_not
+from jaxisp.io.jpeg import Jpeg, decode_jpeg, orientation_of, profile_to_srgb, to_bytes, why_not
 from jaxisp.io.orientation import orient
 from jaxisp.io.tags import quiet_tifffile
 
@@ -53,13 +53,23 @@ def read_image(path: PathLike, *, linear: bool = False) -> np.ndarray:
     Raises:
         InputError: it cannot be read, is damaged, or is another kind of picture.
     """
+    return read_with_header(path, linear=linear)[0]
+
+
+def read_with_header(path: PathLike, *, linear: bool = False) -> tuple[np.ndarray, Jpeg | None]:
+    """As `read_image`, and the file where it is a JPEG."""
     path = check_file(path)
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        return _read_npy(path, linear)
+        return _read_npy(path, linear), None
     data = read_bytes(path)
     if data[:2] == b"\xff\xd8":
-        return np.ascontiguousarray(decode_jpeg(data, str(path)).upright)
+        file = decode_jpeg(data, str(path))
+        return np.ascontiguousarray(file.upright), file
+    return _read_lossless(path, data, linear), None
+
+
+def _read_lossless(path: Path, data: bytes, linear: bool) -> np.ndarray:
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _read_tiff(path, data, linear)
     if data[:8] == b"\x89PNG\r\n\x1a\n":

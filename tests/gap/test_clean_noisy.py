@@ -1,6 +1,7 @@
 """Clean+noisy pairs: cameras that share no code with the package, one that does, and the parts between."""
 
 import functools
+import io
 import json
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
+from jaxisp.color import linear_to_srgb
 from jaxisp.gap import EFFECTS, diagnose, noisy_case, noisy_phase
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.measured import Split
@@ -22,6 +24,7 @@ from jaxisp.gap.noisy_pixels import fit_mean
 from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.scenes import split_of
+from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
 from jaxisp.pipeline import Chain, run, stage
@@ -176,6 +179,42 @@ def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
     np.testing.assert_array_equal(laid.clean[8:-8, 8:-8], there[8:-8, 8:-8])
     assert [row["done"] for row in rows] == ["nothing", "moved"]
     np.testing.assert_allclose(rows[1]["shift_px"], (2, -3), atol=0.3)
+
+
+def test_a_clean_picture_that_was_compressed_is_compressed_again(tmp_path):
+    """On a grid where that costs it something, as Pillow's libjpeg does it."""
+    encoded = [np.uint8(np.rint(255 * np.clip(textured(k, (96, 96)), 0, 1))) for k in range(2)]
+    write_png(tmp_path / "a.clean.png", encoded[0])
+    Image.fromarray(encoded[1]).save(tmp_path / "b.clean.jpg", quality=75)
+    for name, noisy in zip("ab", encoded):
+        write_png(tmp_path / f"{name}.noisy.png", noisy)
+    loaded = [pair.load() for pair in open_dataset(tmp_path).pairs]
+    assert [p.clean_file and p.clean_file.quality for p in loaded] == [None, 75]
+    pairs = clean_pairs(loaded)
+    light, again = (np.asarray(a) for a in (pairs.light, pairs.again))
+    np.testing.assert_allclose(again[0], light[0], atol=1e-6)
+    stored, found = np.asarray(Image.open(tmp_path / "b.clean.jpg")), 255 * linear_to_srgb(again[1])
+    assert min(np.abs(found - pillow_again(stored, by)).max() for by in ((0, 0), (3, 3), (5, 5))) < 1e-3
+    assert 0.5 < np.std(found - stored) / np.std(encoded[1] - stored.astype(float)) < 1.1
+    assert clean_pairs(loaded[:1]).again is None
+    (tmp_path / "dataset.toml").write_text('clean_encoding = "linear"\n')
+    assert [pair.load().clean_file for pair in open_dataset(tmp_path).pairs] == [None, None]
+
+
+def pillow_again(stored, by):
+    file = io.BytesIO()
+    Image.fromarray(np.roll(stored, by, (0, 1))).save(file, "JPEG", quality=75)
+    return np.roll(np.asarray(Image.open(file)), [-n for n in by], (0, 1)).astype(float)
+
+
+def test_what_compression_took_from_clean_pictures_is_no_gap(tmp_path):
+    """15.6 floors where the same pixels come without their header, 1.0 where they were never compressed."""
+    write(tmp_path, "catalpa", {"nothing": 1}, "clean+noisy", size=SIZE, count=COUNT, scenes="two")
+    for path in tmp_path.glob("*.clean.png"):
+        Image.open(path).save(path.with_suffix(".jpg"), quality=60)
+        path.unlink()
+    report = diagnose(tmp_path, exclude=sorted(EFFECTS)).report
+    assert report["gap"]["before"] < 4 * report["gap"]["floor"]
 
 
 def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_is_another():

@@ -45,7 +45,8 @@ def problem():
     still = model.render(quiet(model, z), light, jax.random.split(jax.random.key(0), COUNT))
     pairs = Pairs(("a", "b"), light, pictures, np.ones((COUNT, SIDE, SIDE), bool))
     inner = SIDE - 2 * BORDER
-    return StatisticsProblem(model, pairs, to_steps(still), Split((0,), (1,)), unknown_codes((inner, inner)))
+    split, seen = Split((0,), (1,)), unknown_codes((inner, inner))
+    return StatisticsProblem(model, pairs, lambda light: to_steps(still), split, seen)
 
 
 def distorted(model, z, shift=SHIFT):
@@ -146,14 +147,14 @@ def test_a_form_that_is_exact_is_found_as_it_is():
     still = to_steps(model.render(quiet(model, z), light, jax.random.split(jax.random.key(0), COUNT)))
     pairs = Pairs(("a", "b"), light, pictures, np.ones((COUNT, SIDE, SIDE), bool))
     inner, split = SIDE - 2 * BORDER, Split((0,), (1,))
-    problem = StatisticsProblem(model, pairs, still, split, unknown_codes((inner, inner)))
+    problem = StatisticsProblem(model, pairs, lambda light: still, split, unknown_codes((inner, inner)))
     problem.set_unit()
     problem.compute(model.base_indices)
     assert nearest_form(problem, "chroma_subsampling", split)[own].tolist() == [1, 1, 0, 1]
     assert nearest_form(problem, "prnu", split) is None
     problem.pairs = dataclasses.replace(pairs, pictures=model.render(z, light, problem.keys(1)))
     problem.target = to_steps(problem.pairs.pictures[problem.inner])
-    problem.real = problem.measured(problem.target)
+    problem.real = problem.measured(problem.target, problem.reference)
     del problem._fitted
     problem.move_to(z)
     problem.compute(model.base_indices)
@@ -241,7 +242,7 @@ def test_a_stamp_is_a_matter_of_place_not_of_tails(problem, monkeypatch):
     stamped = copy.copy(problem)
     stamped.set_unit()
     stamped.target = problem.target + 60 * place[..., None] * np.float32([1, -1, 1])
-    stamped.real = stamped.measured(stamped.target)
+    stamped.real = stamped.measured(stamped.target, stamped.reference)
     stamped.move_to(stamped.z)
     monkeypatch.setattr(clean_noisy, "in_one_place", lambda residual, scenes: place)
     rows = stamped.located([1])

@@ -66,8 +66,11 @@ def test_edges_tell_where_noise_does_not(monkeypatch, simulated):
 def test_all_of_a_pair_moves_together(rng):
     light, pictures = rng.random((2, 6, 8, 3)), rng.random((2, 6, 8, 3))
     mask = rng.random((2, 6, 8)) > 0.5
-    found = moved(Pairs(("a", "b"), jnp.asarray(light), pictures, mask), np.array([(0, 0), (1, 0)]))
+    pairs = Pairs(("a", "b"), jnp.asarray(light), pictures, mask, jnp.asarray(0.5 * light))
+    found = moved(pairs, np.array([(0, 0), (1, 0)]))
     np.testing.assert_array_equal(found.pictures[0], pictures[0])
     np.testing.assert_array_equal(found.pictures[1, 1:], pictures[1, :-1])
     np.testing.assert_array_equal(found.mask[1, 1:], mask[1, :-1])
     np.testing.assert_allclose(found.light[1, 1:], light[1, :-1], rtol=1e-6)
+    np.testing.assert_allclose(found.again, 0.5 * found.light, rtol=1e-6)
+    np.testing.assert_allclose(found.take([1]).again[0], 0.5 * found.light[1], rtol=1e-6)
