@@ -7,7 +7,7 @@ how noisy the sensor was: this is fitted, and all that the camera does with the 
 import dataclasses
 from collections.abc import Sequence
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import WHITE_BALANCE, with_cfa
@@ -81,7 +81,7 @@ def of_camera(
     given = Given(f"camera {recipe.name}", chain, params, opened, (), absorbed)
     seen = _seen(given, mean, fit_on)
     given = dataclasses.replace(given, mean=tuple(narrowed(_freedom())))
-    return given, dataclasses.replace(mean.pairs, light=seen)
+    return given, seen
 
 
 def _scene() -> Chain:
@@ -98,8 +98,8 @@ def _freedom() -> list[Coordinate]:
     return [dataclasses.replace(c, node=names[c.node]) for c in plain_freedom() if c.node in names]
 
 
-def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> jax.Array:
-    """The light that the sensor saw, (N, H, W, 3): curve and matrix such that the camera's pictures are
+def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> Pairs:
+    """The pairs with the light that the sensor saw: curve and matrix such that the camera's pictures are
     nearest to the real ones, pixel by pixel."""
     still = given.still
     start = {name: given.params[name] for name in still.init()} | {_MATRIX: _start(given, mean)}
@@ -110,7 +110,7 @@ def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> jax.Array:
     fitted = problem.model.moved(problem.z).shared
     scene = _scene()
     own: Params = {name: fitted[name] for name in scene.init()}
-    return jax.numpy.asarray(render(scene, own, {}, mean.pairs.light, None, Kept()))
+    return mean.pairs.relit(lambda light: jnp.asarray(render(scene, own, {}, light, None, Kept())))
 
 
 def _start(given: Given, mean: Problem) -> ColorMatrix:

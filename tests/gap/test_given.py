@@ -10,12 +10,15 @@ from PIL import Image
 
 from experiments.withheld.numeric import srgb_encode
 from experiments.withheld.scenes import scenes
+from jaxisp.camera import standard_camera
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.noisy_camera import check_camera
+from jaxisp.gap.noisy_base import Camera
+from jaxisp.gap.noisy_camera import check_camera, of_camera
 from jaxisp.gap.noisy_given import of_recipe
 from jaxisp.gap.prepare import candidates
+from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.pipeline import Chain, Gate, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe
@@ -109,6 +112,17 @@ def test_what_cannot_be_a_base_is_refused(recipe, message):
 def test_a_camera_takes_a_mosaic():
     with pytest.raises(InputError, match="needs mosaic into encoded sRGB"):
         check_camera(find_recipe("phone"))
+
+
+def test_what_stands_for_the_clean_light_goes_to_the_sensor_as_that_does(rng):
+    light = jnp.asarray(rng.uniform(0.05, 0.8, (2, 40, 40, 3)), jnp.float32)
+    plain = Camera(None)
+    model = plain.mean_model({})
+    pictures = model.render(np.zeros(len(model.coordinates)), light)
+    pairs = Pairs(("a", "b"), light, pictures, np.ones((2, 40, 40), bool), light[::-1])
+    _, seen = of_camera(standard_camera(), ALL, plain, Problem(model, pairs), (0, 1))
+    assert not np.allclose(seen.light, light, atol=0.02)
+    np.testing.assert_allclose(seen.again, seen.light[::-1], atol=1e-6)
 
 
 def write(folder, recipe, gain, count=4, size=128):
