@@ -2,6 +2,7 @@
 
 scene -> light -> sites -> (noise) -> readout -> RAW file -> raw -> (demosaicking) -> linear -> rgb
       -> (tone curve) -> encoded -> pixels -> picture file
+scene -> clean -> clean file, of clean+noisy pairs
 """
 
 import io

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .bodies import Body
-from .camera import KINDS, Act, Effect, Shot, with_body
+from .camera import DISTRIBUTIONS, KINDS, Act, Effect, Shot, compressed, with_body
 
 
 def own_border(body: Body, value: float, shot: Shot) -> Body:
@@ -44,6 +44,10 @@ def cropped(pixels: np.ndarray, value: float, shot: Shot) -> np.ndarray:
     return np.ascontiguousarray(pixels[edge:-edge, edge:-edge])
 
 
+def as_jpeg(pixels: np.ndarray, value: float, shot: Shot) -> bytes:
+    return compressed(pixels, int(value), "4:2:0")
+
+
 def _anywhere(name: str, what: str, value: float, place: str, act: Act) -> Effect:
     return Effect(name, what, (value,) * 5, {kind: {place: act} for kind in KINDS})
 
@@ -72,4 +76,10 @@ HARMLESS = (
     _body("short_words", "12 bits between the steps", intermediate_bits=12),
     _body("pillow", "Pillow writes the file", encoder="pillow"),
     _body("opencv", "OpenCV writes the file", encoder="opencv"),
+    Effect(
+        "compressed_clean",
+        "clean pictures are JPEGs of this quality, 4:2:0",
+        (75.0,) * 5,
+        {DISTRIBUTIONS: {"clean": as_jpeg}},
+    ),
 )

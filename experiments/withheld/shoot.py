@@ -44,7 +44,10 @@ def write(
     for name, scene in pictures.items():
         seen = before_body(scene, BODIES[body])
         if kind == DISTRIBUTIONS:
-            _save_png(folder / f"{name}.clean.png", np.rint(255 * srgb_encode(seen)).astype(np.uint8))
+            pixels = np.rint(255 * srgb_encode(seen)).astype(np.uint8)
+            _save_clean(
+                folder / f"{name}.clean", Shot(BODIES[body], kind, active, name, seed).at("clean", pixels)
+            )
         for frame in range(frames):
             stem = name if frames == 1 else f"{name}.f{frame:02d}"
             shot = Shot(BODIES[body], kind, active, name, seed, frame)
@@ -76,6 +79,14 @@ def _save(folder: Path, stem: str, scene: np.ndarray, shot: Shot, lossless: bool
     else:
         body = shot.at("rendering", shot.body)
         (folder / f"{stem}.jpg").write_bytes(compressed(pixels, body.quality, body.sampling, body.encoder))
+
+
+def _save_clean(path: Path, clean: np.ndarray | bytes) -> None:
+    """Pixels, or a JPEG file as it stands."""
+    if isinstance(clean, bytes):
+        path.with_name(f"{path.name}.jpg").write_bytes(clean)
+    else:
+        _save_png(path.with_name(f"{path.name}.png"), clean)
 
 
 def _save_png(path: Path, pixels: np.ndarray) -> None:
