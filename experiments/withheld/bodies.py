@@ -11,9 +11,11 @@ import numpy as np
 
 from .curves import (
     arc_tangent,
+    beta_share,
     broadcast_with_lifted_shadows,
     broadcast_with_s,
     compressed_then_srgb,
+    error_of_root,
     extended_reinhard,
     film_density,
     filmic,
@@ -259,6 +261,21 @@ BODIES = {
             exposure=0.82, spot=0.56, luma_share=0.02, intermediate_bits=14,
             bright=Noise(14000.0, 2.1), dim=Noise(1700.0, 8.4), standing=("demosaicking",),
         ),
+        # by np.random.default_rng(20261127)
+        Body(
+            "elder", "GRBG", 14, 228.0, (1.94, 1.0, 1.62),
+            _matrix((1.6, -0.47, -0.13), (-0.33, 1.71, -0.38), (-0.22, -0.28, 1.5)),
+            beta_share, "malvar", "bilinear", 93, encoder="opencv", order="balance-last",
+            exposure=0.85, spot=0.48, luma_share=0.04, intermediate_bits=14,
+            bright=Noise(16000.0, 3.7), dim=Noise(2100.0, 7.5),
+        ),
+        Body(
+            "fig", "GRBG", 14, 593.0, (2.07, 1.0, 1.47),
+            _matrix((1.37, -0.3, -0.07), (-0.08, 1.53, -0.45), (-0.2, -0.12, 1.32)),
+            error_of_root, "bilinear", "variable-gradients", 92, sampling="4:2:0", order="balance-last",
+            exposure=0.84, spot=0.57, luma_share=0.01, intermediate_bits=14,
+            bright=Noise(15000.0, 4.2), dim=Noise(2200.0, 7.6),
+        ),
     )
 }  # fmt: skip
 LATER = (
@@ -279,5 +296,7 @@ LATER = (
     "banyan",
     "catalpa",
     "durian",
+    "elder",
+    "fig",
 )
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.special import ndtr
+from scipy.special import betainc, erf, ndtr
 
 from .numeric import srgb_encode
 
@@ -164,5 +164,23 @@ def film_density(x: np.ndarray) -> np.ndarray:
 
     def share(v: np.ndarray | float) -> np.ndarray:
         return np.asarray(ndtr((np.log2(v + 0.03) + 2.2) / 1.9))
+
+    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+
+
+def beta_share(x: np.ndarray) -> np.ndarray:
+    """A beta distribution's share of the light, a little of it added to the dark."""
+
+    def share(v: np.ndarray | float) -> np.ndarray:
+        return np.asarray(betainc(0.55, 1.25, (v + 0.006) / 1.006))
+
+    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+
+
+def error_of_root(x: np.ndarray) -> np.ndarray:
+    """The error function of a root that is displaced: steep in the dark, a shoulder above."""
+
+    def share(v: np.ndarray | float) -> np.ndarray:
+        return np.asarray(erf(1.15 * (v + 0.008) ** 0.55))
 
     return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
