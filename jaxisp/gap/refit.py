@@ -16,6 +16,11 @@ SMALLEST = 0.05
 FARTHEST = 0.2
 """By what share an effect may raise the mean square distance of pixels, noise and all. Statistics are blind
 to much: a warp of several pixels smooths noise as well, but what it shows is elsewhere."""
+NEARER = 0.05
+"""By what share of the mean square distance of pixels one effect must be nearer than another to be told from
+it by that."""
+_CLEARED = 0.5
+"""What share of the distance beyond the noise must go for pixels to show an effect by themselves."""
 _DRAWS = 400
 _HOPELESS = 4.0
 """How many times the least error of all forms one may leave at first for the base to be fitted beside it."""
@@ -41,7 +46,9 @@ class Trial:
     `choice` is what the base became with it, None where it stayed as it was; `params` are the effect's own
     where `z` has none for it; `farther` is the share by which pixels are farther from the real ones with it.
     `low` and `high` are a bootstrap's; `surely` is the lower end of the share where a scene that has more of
-    the gap is drawn with it, and scenes are few.
+    the gap is drawn with it, and scenes are few. `cleared` is the share of the pixels' distance beyond the
+    noise that goes with it, and `plainly` what `low` must be above where they show it by themselves. `error`
+    is what it leaves on the fitted pairs.
     """
 
     effect: str
@@ -56,6 +63,9 @@ class Trial:
     params: dict[str, float] = dataclasses.field(default_factory=dict)
     farther: float = 0.0
     surely: float = np.inf
+    cleared: float = 0.0
+    plainly: float = np.inf
+    error: float = np.inf
 
     @property
     def gain(self) -> float:
@@ -66,8 +76,16 @@ class Trial:
         return self.farther < FARTHEST
 
     @property
+    def shown(self) -> bool:
+        """Whether pixels show it, whatever statistics say: they come nearer by as much as no stranger's have,
+        or by half of what they are off."""
+        return self.farther < -FARTHEST or (self.farther < -NEARER and self.cleared > _CLEARED)
+
+    @property
     def accepted(self) -> bool:
-        return self.possible and self.low > max(SMALLEST, self.least) and self.surely > SMALLEST
+        if self.low > max(SMALLEST, self.least) and self.surely > SMALLEST:
+            return self.possible
+        return self.shown and self.low > self.plainly
 
 
 def switched_on(problem: Measured) -> list[int]:
@@ -85,6 +103,7 @@ def refit(
     steps: int = 4,
     begin: np.ndarray | None = None,
     form: np.ndarray | None = None,
+    plainly: float = np.inf,
 ) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
@@ -95,6 +114,7 @@ def refit(
         least: the share that the lower end of its interval must be above, beside `SMALLEST`.
         begin: where the fit starts, what is searched for being found there; None: it is looked for.
         form: of `nearest_form`; what moves freely from there must be better by a tenth.
+        plainly: likewise, where pixels show the effect by themselves.
     """
     own = problem.model.indices([effect])
     moving = [*problem.model.base_indices, *switched_on(problem), *own]
@@ -122,13 +142,17 @@ def refit(
     drops = problem.clustered(drop, split.held_out)
     low, high = interval(drops, whole.size)
     chosen = None if choice is None else problem.choices[choice]
-    farther = (_distance(held, effect, part.z) - far) / max(far, _ROUNDING)
+    nearer = far - _distance(held, effect, part.z)
+    noise = _noise(held, problem.z, part.z) if np.isfinite(plainly) and nearer > NEARER * far else 0.0
+    cleared = nearer / (far - noise) if far > noise > 0 else 0.0
     start = float(np.nanmean(before))
     closed, factor = lost / whole.size, few_scenes(problem.scenes(split.held_out))
     surely = closed - factor * (closed - interval(drops, whole.parts)[0])
     return Trial(
-        effect, part.z, start, start - lost, closed, low, high, least, chosen, farther=farther, surely=surely
-    )
+        effect, part.z, start, start - lost, closed, low, high, least, chosen,
+        farther=-nearer / max(far, _ROUNDING), surely=surely, cleared=cleared, plainly=plainly,
+        error=float(part.errors(part.z).mean()),
+    )  # fmt: skip
 
 
 def _distance(held: Measured, effect: str, z: np.ndarray) -> float:
@@ -137,6 +161,12 @@ def _distance(held: Measured, effect: str, z: np.ndarray) -> float:
     random = effect in EFFECTS and EFFECTS[effect].random
     found = None if random else held.distances(z)
     return 0.0 if found is None else float(found.mean())
+
+
+def _noise(held: Measured, *points: np.ndarray) -> float:
+    """The mean square of the noise, the larger of these points': a base that lacks much may have less."""
+    found = [held.scatter(z) for z in points]
+    return max((float(noise.mean()) for noise in found if noise is not None), default=0.0)
 
 
 def _harmless(

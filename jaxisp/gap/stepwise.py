@@ -11,10 +11,19 @@ import numpy as np
 
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import Trial, Whole, nearest_form, refit
+from jaxisp.gap.refit import NEARER, Trial, Whole, nearest_form, refit
 from jaxisp.gap.solve import fit
 from jaxisp.gap.threads import each
-from jaxisp.gap.which import LEADING, best, foretold, like_the_nearest, lookalikes, screen
+from jaxisp.gap.which import (
+    LEADING,
+    best,
+    foretold,
+    like_the_nearest,
+    lookalikes,
+    of_form,
+    screen,
+    told_by_pixels,
+)
 
 _REFITTED = 6  # of those that screening promises most of
 
@@ -33,6 +42,10 @@ class Terms(NamedTuple):
         enough: the share of the gap that no other effect is looked for to close.
         apart: of `lookalikes`.
         seen: effects that the files themselves show; they are refitted whatever they promise.
+        plainly: as `least`, of a later effect that pixels show by themselves: beside a large gap another may
+            be a small part of it.
+        again: whether the best of a later step are fitted once more, all columns anew: the base there has
+            imitated what was missing.
     """
 
     least: float
@@ -42,6 +55,8 @@ class Terms(NamedTuple):
     enough: float = -np.inf
     apart: float = np.inf
     seen: Sequence[str] = ()
+    plainly: float = np.inf
+    again: bool = False
 
 
 def search(
@@ -58,7 +73,9 @@ def search(
     def refitted(tried: Sequence[str], step: int, least: float, forms: Forms) -> list[Trial]:
         def one(name: str) -> Trial:
             tick(step, most, f"refitting {name}")
-            return refit(problem, name, split, whole, least, form=forms.get(name))
+            form_only = of_form(name, [t for t, _ in causes])
+            bar, plainly = max(least, form_only), max(terms.plainly, form_only) if step else np.inf
+            return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly)
 
         return each(one, tried)
 
@@ -85,7 +102,10 @@ def search(
             first_trials = {t.effect: t for t in trials}
             first_promises = promises | _predicted(views, list(first_trials), forms, split)
         views = views[:1]
-        winner = best(trials, seen)
+        if step and terms.again:
+            tick(step, most, "fitting the best anew")
+            trials = _again(problem, start[1], trials, split, whole)
+        winner = best(trials, seen, remaining)
         if winner is None or (not causes and winner.closed < terms.leading):
             break
         causes.append((winner, lookalikes(winner, trials, terms.apart)))
@@ -104,6 +124,32 @@ def search(
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
     return causes, first_trials, first_promises
+
+
+def _again(
+    problem: Measured, first: np.ndarray, trials: Sequence[Trial], split: Split, whole: Whole
+) -> list[Trial]:
+    """The trials, the two that matter fitted once more, all columns anew: from where they ended, and from
+    there with the base as it was at first. What leaves the least on the fitted pairs stays.
+
+    These are the one that closes most, and the one that pixels show best or else closes second most.
+    """
+    base, ranked = problem.model.base_indices, sorted(trials, key=lambda t: -t.closed)
+    ranked = [t for t in ranked if t.choice is None]  # another demosaicker's base was fitted anew with it
+    nearer = [t for t in ranked[1:] if told_by_pixels(t, ranked[0])]
+    second = [min(nearer, key=lambda t: t.farther)] if nearer else ranked[1:2]
+    points = []
+    for trial in (*ranked[:1], *second):
+        anew = trial.z.copy()
+        anew[base] = first[base]
+        points += [(trial, trial.z), (trial, anew)]
+
+    def begun(point: tuple[Trial, np.ndarray]) -> Trial:
+        trial, z = point
+        return refit(problem, trial.effect, split, whole, trial.least, begin=z, plainly=trial.plainly)
+
+    found = each(begun, points)
+    return [min((t, *(f for f in found if f.effect == t.effect)), key=lambda t: t.error) for t in trials]
 
 
 class _View(NamedTuple):
@@ -160,15 +206,24 @@ def _needed(
     whole: Whole,
     terms: Terms,
 ) -> Sequence[Trial]:
-    """These trials, or fewer that close as much but for what nulls have: those before the last that the files
-    do not show are left out, one after the other, the rest fitted from where all of them ended."""
-    end = trials[-1]
+    """These trials, or fewer that close as much but for what nulls have, and leave pixels as near: those
+    before the last that the files do not show are left out, one after the other, the rest fitted from where
+    all of them ended."""
+    end, near = trials[-1], _apart(problem, split)
     for left_out in (t for t in trials[:-1] if t.effect not in terms.seen):
         rest = [t.effect for t in trials if t is not left_out]
         found = _replayed(problem, start, rest, end.z, split, whole, terms.least)
-        if all(t.accepted for t in found) and found[-1].after - end.after < terms.least * whole.size:
+        as_good = found[-1].after - end.after < terms.least * whole.size
+        if all(t.accepted for t in found) and as_good and _apart(problem, split) <= (1 + NEARER) * near:
             return _needed(problem, start, found, split, whole, terms)
     return trials
+
+
+def _apart(problem: Measured, split: Split) -> float:
+    """The mean square distance of the held-out pixels where the problem stands; 0 where pixels are what is
+    compared."""
+    found = problem.distances(problem.model.still(problem.z))
+    return 0.0 if found is None else float(found[list(split.held_out)].mean())
 
 
 def _replayed(

@@ -79,7 +79,8 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     most, enough = MOST_CAUSES if could else 0, alone if LEAST_CLOSED[kind] else -np.inf
     leading = LEADING * (1 - _grain_closes(case, scale, alone))
     part, apart = LEAST_CLOSED[kind], APART[kind] * gap.floor / scale
-    terms = Terms(alone, most, leading, part, enough, apart, case.seen)
+    plainly, again = NULL_DROP[kind] * gap.floor / scale, kind != RAW_JPEG  # whose columns are taken along
+    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again)
     steps, trials, promises = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
     refused: Refused | None = None
     for count in range(len(steps), -1, -1):

@@ -10,16 +10,13 @@ import numpy as np
 
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.measured import Measured, Split
-from jaxisp.gap.refit import FARTHEST, Trial, distant, lowest, searched, switched_on
+from jaxisp.gap.refit import FARTHEST, NEARER, Trial, distant, lowest, searched, switched_on
 from jaxisp.gap.solve import modest, solve
 from jaxisp.gap.threads import each
 
 LEADING = 0.25
 """What the first of the causes must close: less does not account for a gap, a stranger looks like that."""
 _AS_MUCH = 0.8  # of what the best closes: a form that is not quite right costs a fifth
-_NEARER = 0.05
-"""By what share of the mean square distance of pixels one effect must be nearer than another to be told from
-it by that."""
 
 
 def screen(problem: Measured, names: Sequence[str], split: Split) -> dict[str, float]:
@@ -101,7 +98,7 @@ def foretold(problem: Measured, effect: str, split: Split) -> float:
     return float((errors - found)[list(split.held_out)].mean()) - _anyway(problem, effect)
 
 
-def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
+def best(trials: Sequence[Trial], seen: Sequence[str] = (), remaining: float = 1.0) -> Trial | None:
     """The accepted trial that closes most, or of those that close about as much or are nearer by far the one
     whose pictures are clearly nearest; one that another can imitate in full is preferred to it.
 
@@ -109,6 +106,7 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
         trials: of one step.
         seen: effects that the files themselves show: what others close may be theirs, so that they come
             first where they could lead.
+        remaining: the share of the gap that causes before left.
     """
     accepted = sorted((t for t in trials if t.accepted), key=lambda t: -t.closed)
     if not accepted:
@@ -116,7 +114,7 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
     shown = [t for t in accepted if t.effect in seen and t.closed >= LEADING]
     if shown:
         return shown[0]
-    first = _nearest([t for t in accepted if _rivals(t, accepted[0])])
+    first = _nearest([t for t in accepted if _rivals(t, accepted[0], remaining)])
     for other in (t for t in accepted if t is not first):
         imitated = other.effect in EFFECTS[first.effect].contains and other.closed > 0.93 * first.closed
         simpler = len(EFFECTS[other.effect].moves) < len(EFFECTS[first.effect].moves)
@@ -126,11 +124,11 @@ def best(trials: Sequence[Trial], seen: Sequence[str] = ()) -> Trial | None:
     return first
 
 
-def _rivals(other: Trial, most: Trial) -> bool:
-    """Whether an effect closes about as much as what closes most, or could lead and is so much nearer in
-    pixels as one that is as much farther would be refused for."""
+def _rivals(other: Trial, most: Trial, remaining: float) -> bool:
+    """Whether an effect closes about as much as what closes most, or could lead what is left and is so much
+    nearer in pixels as one that is as much farther would be refused for."""
     nearer = told_by_pixels(other, most) and other.farther < most.farther - FARTHEST
-    return other.closed > _AS_MUCH * most.closed or (other.closed >= LEADING and nearer)
+    return other.closed > _AS_MUCH * most.closed or (other.closed >= LEADING * remaining and nearer)
 
 
 def _nearest(trials: Sequence[Trial]) -> Trial:
@@ -142,7 +140,7 @@ def _nearest(trials: Sequence[Trial]) -> Trial:
 def told_by_pixels(one: Trial, other: Trial) -> bool:
     """Whether the one's pictures are clearly nearer than the other's, where no noise is at stake."""
     random = any(EFFECTS[t.effect].random for t in (one, other))
-    return not random and one.farther < other.farther - _NEARER
+    return not random and one.farther < other.farther - NEARER
 
 
 def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) -> list[str]:
@@ -165,6 +163,12 @@ def lookalikes(winner: Trial, trials: Sequence[Trial], apart: float = np.inf) ->
         return other.effect != winner.effect and as_much and not told
 
     return [t.effect for t in trials if near(t)]
+
+
+def of_form(effect: str, causes: Sequence[Trial]) -> float:
+    """The share of the gap that an effect may close where one of the causes, for which it is easily taken, is
+    there in a form that is not quite right."""
+    return max(((1 - _AS_MUCH) * t.closed for t in causes if _alike(t.effect, effect)), default=0.0)
 
 
 def like_the_nearest(trials: Sequence[Trial], others: Sequence[str]) -> list[str]:

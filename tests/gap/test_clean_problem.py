@@ -16,7 +16,7 @@ from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_start import noise_indices
 from jaxisp.gap.noisy_units import noise_only, tolerances, units
 from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import _climbed, nearest_form
+from jaxisp.gap.refit import Whole, _climbed, nearest_form, refit
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.statistics import feature_names
 from tests.conftest import smooth_image
@@ -77,6 +77,20 @@ def test_a_warp_the_wrong_way_is_farther_than_none(problem):
         problem.distances(distorted(problem.model, problem.z, v)).mean() for v in (SHIFT, 0, -SHIFT)
     )
     assert right < 0.7 * none and wrong > none
+
+
+def test_pixels_show_a_warp_by_what_of_their_distance_goes_beyond_the_noise(problem):
+    """Begun at the truth and not moved: what goes is the distance of edges that were elsewhere."""
+    z = distorted(problem.model, problem.z)
+    parts = problem.units(problem.z)[[1]]
+    found = refit(
+        problem, "geometric_distortion", problem.split, Whole(float(parts.mean()), parts), 0.99,
+        steps=0, begin=z, plainly=-9.0,
+    )  # fmt: skip
+    far, near, noise = problem.distances(problem.z)[1], problem.distances(z)[1], problem.scatter(z)[1]
+    assert found.cleared > 0.8 and found.cleared == pytest.approx((far - near) / (far - noise), rel=0.1)
+    assert found.shown and found.accepted and found.error == pytest.approx(problem.take((0,)).errors(z)[0])
+    assert not dataclasses.replace(found, plainly=np.inf).accepted
 
 
 def test_threads_find_the_same_columns(problem, monkeypatch):

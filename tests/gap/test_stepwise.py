@@ -25,7 +25,7 @@ def searched(monkeypatch, closes, terms, beside=("prnu",)):
     """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
     asked = []
 
-    def refit(problem, name, split, whole, least, form=None):
+    def refit(problem, name, split, whole, least, form=None, plainly=np.inf):
         asked.append(least)
         share, half = closes[name]
         before = 11.0 - float(problem.z[0])
@@ -57,6 +57,37 @@ def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
     names, asked = searched(monkeypatch, closes, terms._replace(part=0.6))  # 0.12 of the gap
     assert names == ["chroma_denoising"] and asked[-1] == pytest.approx(0.12)
     assert searched(monkeypatch, closes, terms._replace(enough=0.25))[0] == ["chroma_denoising"]
+
+
+def test_the_two_best_of_a_later_step_are_fitted_anew_from_both_bases(monkeypatch):
+    """What leaves the least on the fitted pairs stays, wherever it began; of the others as it was."""
+    first, begun = np.array([0.0, 0.0]), []
+    model = types.SimpleNamespace(base_indices=[0])
+    problem = types.SimpleNamespace(model=model)
+    shares = {"vignetting": 0.1, "chroma_subsampling": 0.3, "sharpening": 0.2, "optical_blur": 0.05}
+
+    def trial(name, z, error, closed, farther=0.0):
+        return Trial(
+            name, np.array(z), 11.0, 11 - 10 * closed, closed, closed, closed, 0.05,
+            farther=farther, plainly=0.02, error=error,
+        )  # fmt: skip
+
+    def refit(problem, name, split, whole, least, begin, plainly):
+        begun.append((name, *begin))
+        assert (least, plainly) == (0.05, 0.02)
+        better = (name, begin[0]) == ("vignetting", 0.0)
+        return trial(name, begin, 2.0 if better else 4.0, shares[name] + 0.1)
+
+    monkeypatch.setattr(stepwise, "refit", refit)
+    trials = [trial(name, [0.7, 1.0], 3.0, closed) for name, closed in shares.items()]
+    trials[0] = trial("vignetting", [0.7, 1.0], 3.0, 0.1, farther=-0.2)
+    found = stepwise._again(problem, first, trials, Split((0,), (1,)), None)
+    assert sorted(begun) == [(n, b, 1.0) for n in ("chroma_subsampling", "vignetting") for b in (0.0, 0.7)]
+    assert found[0].closed == pytest.approx(0.2) and found[1:] == trials[1:]
+    begun.clear()
+    stepwise._again(problem, first, trials[1:], Split((0,), (1,)), None)
+    assert {name for name, *_ in begun} == {"chroma_subsampling", "sharpening"}
+    assert stepwise._again(problem, first, [], Split((0,), (1,)), None) == []
 
 
 def test_nothing_to_try_finds_nothing(monkeypatch):
@@ -102,7 +133,7 @@ def test_what_the_base_imitates_is_looked_for_beside_its_rival(monkeypatch):
     names = ("chroma_denoising", "vignetting")
     drops = {"square roots": dict(zip(names, (-20.0, 0.5))), "linear values": dict(zip(names, (9.0, 0.4)))}
 
-    def refit(problem, name, split, whole, least, form=None):
+    def refit(problem, name, split, whole, least, form=None, plainly=np.inf):
         closed = {"chroma_denoising": 0.7, "vignetting": 0.05}[name]
         return Trial(name, problem.z, 11.0, 11.0 - 10 * closed, closed, closed, closed, least)
 
@@ -127,7 +158,7 @@ class Fitted:
         self.z, self.closes = np.zeros(len(NAMES)), closes
         moves = {name: [k] for k, name in enumerate(NAMES)}
         self.model = types.SimpleNamespace(
-            effects=moves, indices=lambda names: [moves[name][0] for name in names]
+            effects=moves, indices=lambda names: [moves[name][0] for name in names], still=lambda z: z
         )
 
     def gap(self, z):
@@ -136,10 +167,15 @@ class Fitted:
     def move_to(self, z):
         self.z = z.copy()
 
+    def distances(self, z):
+        return None if self.near is None else np.full(2, 10.0 - 3 * z[NAMES.index(self.near)])
 
-def needed(monkeypatch, closes, names, least=0.05, seen=()):
-    """What is left of effects that close these shares together, and where each fit began."""
+
+def needed(monkeypatch, closes, names, least=0.05, seen=(), near=None):
+    """What is left of effects that close these shares together, and where each fit began; `near` brings
+    pixels nearer."""
     problem, begun = Fitted(closes), []
+    problem.near = near
 
     def fitted(problem, name, begin):
         z = problem.z.copy()
@@ -168,6 +204,8 @@ def test_what_a_later_effect_makes_up_for_is_taken_back(monkeypatch):
     found, begun = needed(monkeypatch, closes, [first, second])
     assert found == [(second, 0.93)] and begun == [[0, 1, 0]]  # from where both ended
     assert len(needed(monkeypatch, closes, [first, second], seen=[first])[0]) == 2  # the files show it
+    assert len(needed(monkeypatch, closes, [first, second], near=first)[0]) == 2  # pixels do
+    assert len(needed(monkeypatch, closes, [first, second], near=second)[0]) == 1
 
 
 def test_what_nothing_else_makes_up_for_stays(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 
 from jaxisp.gap.measured import Split
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import best, foretold, like_the_nearest, lookalikes
+from jaxisp.gap.which import best, foretold, like_the_nearest, lookalikes, of_form
 
 
 def trial(effect, closed, low, high):
@@ -71,6 +71,28 @@ def test_what_brings_pixels_nearer_by_far_comes_first_where_it_could_lead():
     assert best([dataclasses.replace(denoising, farther=-0.1), near]) is not near
     assert best([denoising, dataclasses.replace(near, closed=0.2)]) is denoising
     assert best([dataclasses.replace(denoising, effect="film_grain"), near]).effect == "film_grain"
+
+
+def test_a_small_share_of_a_large_gap_is_accepted_where_pixels_show_the_effect():
+    blur = dataclasses.replace(trial("motion_blur", 0.04, 0.03, 0.05), plainly=0.02)
+    assert not blur.accepted  # less than 5 %, and pixels say nothing
+    assert dataclasses.replace(blur, farther=-0.25).accepted
+    assert dataclasses.replace(blur, farther=-0.1, cleared=0.6).accepted
+    assert not dataclasses.replace(blur, farther=-0.1, cleared=0.4).accepted
+    assert not dataclasses.replace(blur, farther=-0.25, low=0.01).accepted
+    assert not dataclasses.replace(blur, farther=-0.25, plainly=np.inf).accepted
+
+
+def test_what_is_nearer_by_far_leads_what_causes_before_left():
+    smooth, blur = trial("chroma_denoising", 0.09, 0.07, 0.11), trial("motion_blur", 0.06, 0.055, 0.1)
+    near = dataclasses.replace(blur, farther=-0.3)
+    assert best([smooth, near]) is smooth and best([smooth, near], remaining=0.16) is near
+
+
+def test_what_is_easily_taken_for_a_cause_must_close_more_than_its_form_may_cost():
+    causes = [trial("chroma_denoising", 0.9, 0.8, 1.0), trial("vignetting", 0.05, 0.04, 0.06)]
+    assert of_form("chroma_subsampling", causes) == pytest.approx(0.18)
+    assert of_form("sharpening", causes) == of_form("chroma_subsampling", []) == 0.0
 
 
 def test_what_the_nearest_may_have_been_taken_for_is_tried_too():
