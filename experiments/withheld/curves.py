@@ -1,5 +1,7 @@
 """The tone curves of the bodies: from light in [0, 1] to encoded values in [0, 1]."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.special import betainc, erf, ndtr
@@ -159,13 +161,18 @@ def lightness(x: np.ndarray) -> np.ndarray:
     return np.where(x > 216 / 24389, 1.16 * np.cbrt(x) - 0.16, 24389 / 27 * x / 100)
 
 
+def _from_black_to_white(share: Callable[[np.ndarray | float], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """A share of the light that is 0 at black and 1 at white."""
+    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+
+
 def film_density(x: np.ndarray) -> np.ndarray:
     """A normal distribution's share of the logarithm of light, as film darkens: toe, middle, shoulder."""
 
     def share(v: np.ndarray | float) -> np.ndarray:
         return np.asarray(ndtr((np.log2(v + 0.03) + 2.2) / 1.9))
 
-    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+    return _from_black_to_white(share, x)
 
 
 def beta_share(x: np.ndarray) -> np.ndarray:
@@ -174,7 +181,7 @@ def beta_share(x: np.ndarray) -> np.ndarray:
     def share(v: np.ndarray | float) -> np.ndarray:
         return np.asarray(betainc(0.55, 1.25, (v + 0.006) / 1.006))
 
-    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+    return _from_black_to_white(share, x)
 
 
 def error_of_root(x: np.ndarray) -> np.ndarray:
@@ -183,4 +190,4 @@ def error_of_root(x: np.ndarray) -> np.ndarray:
     def share(v: np.ndarray | float) -> np.ndarray:
         return np.asarray(erf(1.15 * (v + 0.008) ** 0.55))
 
-    return (share(np.clip(x, 0, 1)) - share(0.0)) / (share(1.0) - share(0.0))
+    return _from_black_to_white(share, x)

@@ -59,6 +59,12 @@ def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
     assert searched(monkeypatch, closes, terms._replace(enough=0.25))[0] == ["chroma_denoising"]
 
 
+def test_a_lookalike_of_a_cause_is_asked_for_more_than_its_form_may_cost(monkeypatch):
+    closes = {"luma_denoising": (0.8, 0.05), "sharpening": (0.15, 0.04)}
+    names, asked = searched(monkeypatch, closes, Terms(0.05, 3))
+    assert names == ["luma_denoising"] and max(asked) == pytest.approx(0.16)
+
+
 def test_the_two_best_of_a_later_step_are_fitted_anew_from_both_bases(monkeypatch):
     """What leaves the least on the fitted pairs stays, wherever it began; of the others as it was."""
     first, begun = np.array([0.0, 0.0]), []
