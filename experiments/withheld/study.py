@@ -101,11 +101,20 @@ def examine(case: Case, diagnose: Diagnose, size: int = 256, count: int = 8) -> 
         except Exception as error:
             return record | {"failed": repr(error), "trace": traceback.format_exc(limit=4)}
         record["seconds"] = round(time.perf_counter() - began, 2)
-    return record | kept(report)
+    record |= kept(report)
+    if case.split == "nulls" or case.split not in _WITHOUT_TRUTH:
+        record["statistics"] = counted(report)
+    return record
+
+
+def counted(report: Report) -> list[list[float]]:
+    """Each statistic's difference and how much it counts, by which a case and its plain body are compared."""
+    found = report["gap"].get("statistics", {})
+    return [[round(v, 4) for v in own] for _, own in sorted(found.items())]
 
 
 def kept(report: Report) -> dict[str, Any]:
-    causes, counted = report["causes"], report["gap"].get("statistics", {})
+    causes = report["causes"]
     return {
         "verdict": report["verdict"],
         "causes": [c["effect"] for c in causes],
@@ -118,7 +127,6 @@ def kept(report: Report) -> dict[str, Any]:
         "absorbed": report["base"].get("absorbed", {}),
         "gap": {name: value for name, value in report["gap"].items() if name != "statistics"},
         "where": [w["axis"] for w in report["where"][:3]],
-        "statistics": [[round(v, 4) for v in own] for _, own in sorted(counted.items())],
         "unexplained": report["unexplained"],
         "own_seconds": report["seconds"],
     }

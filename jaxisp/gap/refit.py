@@ -130,7 +130,9 @@ def refit(
     if choice is not None:
         fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
     held = problem.take(split.held_out)
-    before, far = held.units(problem.z), _distance(held, effect, problem.z)
+    # of a pattern whose place is drawn pixels say nothing
+    told = effect not in EFFECTS or not EFFECTS[effect].random
+    before, far = held.units(problem.z), distance(held, problem.z) if told else 0.0
     harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
     if choice is not None:
         held.choose(problem.choices[choice].take(split.held_out))
@@ -142,7 +144,7 @@ def refit(
     drops = problem.clustered(drop, split.held_out)
     low, high = interval(drops, whole.size)
     chosen = None if choice is None else problem.choices[choice]
-    nearer = far - _distance(held, effect, part.z)
+    nearer = far - distance(held, part.z) if told else 0.0
     noise = _noise(held, problem.z, part.z) if np.isfinite(plainly) and nearer > NEARER * far else 0.0
     cleared = nearer / (far - noise) if far > noise > 0 else 0.0
     start = float(np.nanmean(before))
@@ -155,11 +157,9 @@ def refit(
     )  # fmt: skip
 
 
-def _distance(held: Measured, effect: str, z: np.ndarray) -> float:
-    """The mean square distance of pixels at a point; 0 where it says nothing: of a pattern's place, or where
-    pixels are what is compared."""
-    random = effect in EFFECTS and EFFECTS[effect].random
-    found = None if random else held.distances(z)
+def distance(held: Measured, z: np.ndarray) -> float:
+    """The mean square distance of these pixels at a point; 0 where pixels are what is compared."""
+    found = held.distances(z)
     return 0.0 if found is None else float(found.mean())
 
 

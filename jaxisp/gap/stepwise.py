@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxisp.gap.measured import Measured, Split
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import NEARER, Trial, Whole, nearest_form, refit
+from jaxisp.gap.refit import NEARER, Trial, Whole, distance, nearest_form, refit
 from jaxisp.gap.solve import fit
 from jaxisp.gap.threads import each
 from jaxisp.gap.which import (
@@ -69,61 +69,83 @@ def search(
         the accepted trials with their look-alikes, in order; the trials of the first step; what each effect
         promised there.
     """
-
-    def refitted(tried: Sequence[str], step: int, least: float, forms: Forms) -> list[Trial]:
-        def one(name: str) -> Trial:
-            tick(step, most, f"refitting {name}")
-            form_only = of_form(name, [t for t, _ in causes])
-            bar, plainly = max(least, form_only), max(terms.plainly, form_only) if step else np.inf
-            return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly)
-
-        return each(one, tried)
-
-    most, seen, remaining = terms.most, terms.seen, 1.0
-    every = (*split.fit, *split.held_out)
-    start = problem.model, problem.z
-    left = list(names)
+    if not (terms.most and names):
+        return [], {}, screen(problem, names, split)
+    start, left = (problem.model, problem.z), list(names)
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}
-    first_promises: dict[str, float] = {} if most and names else screen(problem, left, split)
-    views = _views(problem, split) if names else []
-    for step in range(min(most, len(names))):
-        tick(step, most, "screening effects")
-        promises = _most(views, lambda view: screen(view, left, split), every)
-        forms = _forms(problem, left, split)
-        promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
-        ranked = sorted(left, key=lambda name: -promises[name])
-        tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
-        tried += [n for n in left if n in seen and n not in tried]
-        least = max(terms.least, terms.part * remaining)
-        trials = refitted(tried, step, least, forms)
-        trials += refitted(like_the_nearest(trials, [n for n in left if n not in tried]), step, least, forms)
+    first_promises: dict[str, float] = {}
+    views = _views(problem, split)
+    for step in range(min(terms.most, len(names))):
+        accepted = [t for t, _ in causes]
+        trials, promises = _tried(views, left, accepted, split, whole, terms, tick)
         if step == 0:
-            first_trials = {t.effect: t for t in trials}
-            first_promises = promises | _predicted(views, list(first_trials), forms, split)
-        views = views[:1]
-        if step and terms.again:
-            tick(step, most, "fitting the best anew")
+            first_trials, first_promises = {t.effect: t for t in trials}, promises
+        elif terms.again:
+            tick(step, terms.most, "fitting the best anew")
             trials = _again(problem, start[1], trials, split, whole)
-        winner = best(trials, seen, remaining)
+        views = views[:1]
+        winner = best(trials, terms.seen, _remaining(accepted))
         if winner is None or (not causes and winner.closed < terms.leading):
             break
         causes.append((winner, lookalikes(winner, trials, terms.apart)))
         left.remove(winner.effect)
-        problem.move_to(winner.z)
-        if winner.choice is not None:
-            problem.choose(winner.choice)
-        remaining -= winner.closed
-        if remaining < terms.enough:
+        _go_to(problem, winner)
+        if _remaining([*accepted, winner]) < terms.enough:
             break
     if len(causes) > 1:
-        tick(most - 1, most, "looking for effects that the others make up for")
+        tick(terms.most - 1, terms.most, "looking for effects that the others make up for")
         needed = _needed(problem, start, [t for t, _ in causes], split, whole, terms)
         if len(needed) < len(causes):
             names_needed = [t.effect for t in needed]
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
     return causes, first_trials, first_promises
+
+
+def _remaining(causes: Sequence[Trial]) -> float:
+    """The share of the gap that these causes leave."""
+    return 1.0 - sum(t.closed for t in causes)
+
+
+def _go_to(problem: Measured, trial: Trial) -> None:
+    problem.move_to(trial.z)
+    if trial.choice is not None:
+        problem.choose(trial.choice)
+
+
+def _tried(
+    views: Sequence["_View"],
+    left: Sequence[str],
+    causes: Sequence[Trial],
+    split: Split,
+    whole: Whole,
+    terms: Terms,
+    tick: Tick,
+) -> tuple[list[Trial], dict[str, float]]:
+    """One step: of the effects that are left those that promise most beside the causes, refitted, and what
+    all of them promise."""
+    problem, step, every = views[0].problem, len(causes), (*split.fit, *split.held_out)
+    tick(step, terms.most, "screening effects")
+    promises = _most(views, lambda view: screen(view, left, split), every)
+    forms = _forms(problem, left, split)
+    promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
+    least = max(terms.least, terms.part * _remaining(causes))
+
+    def one(name: str) -> Trial:
+        tick(step, terms.most, f"refitting {name}")
+        form_only = of_form(name, causes)
+        bar, plainly = max(least, form_only), max(terms.plainly, form_only) if step else np.inf
+        return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly)
+
+    ranked = sorted(left, key=lambda name: -promises[name])
+    tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
+    tried += [n for n in left if n in terms.seen and n not in tried]
+    trials = each(one, tried)
+    trials += each(one, like_the_nearest(trials, [n for n in left if n not in tried]))
+    if not causes:
+        promises |= _predicted(views, [t.effect for t in trials], forms, split)
+    return trials, promises
 
 
 def _again(
@@ -220,10 +242,8 @@ def _needed(
 
 
 def _apart(problem: Measured, split: Split) -> float:
-    """The mean square distance of the held-out pixels where the problem stands; 0 where pixels are what is
-    compared."""
-    found = problem.distances(problem.model.still(problem.z))
-    return 0.0 if found is None else float(found[list(split.held_out)].mean())
+    """How far the held-out pixels are where the problem stands, at what is still in that."""
+    return distance(problem.take(split.held_out), problem.model.still(problem.z))
 
 
 def _replayed(
@@ -244,7 +264,5 @@ def _replayed(
         begin = end.copy()
         begin[off] = 0
         found.append(refit(problem, name, split, whole, least, begin=begin))
-        problem.move_to(found[-1].z)
-        if found[-1].choice is not None:
-            problem.choose(found[-1].choice)
+        _go_to(problem, found[-1])
     return found

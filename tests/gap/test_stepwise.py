@@ -173,6 +173,9 @@ class Fitted:
     def move_to(self, z):
         self.z = z.copy()
 
+    def take(self, which):
+        return self
+
     def distances(self, z):
         return None if self.near is None else np.full(2, 10.0 - 3 * z[NAMES.index(self.near)])
 
