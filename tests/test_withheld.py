@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from experiments.withheld import effects
-from experiments.withheld.bodies import BODIES, Noise
+from experiments.withheld.bodies import BODIES, Noise, _by_name
 from experiments.withheld.camera import KINDS, Shot, before_body, develop, expose
 from experiments.withheld.demosaic import DEMOSAICKERS, demosaic, mosaicked
 from experiments.withheld.libraw import SWITCHES, developed
@@ -265,3 +265,9 @@ def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path) -> None:
     found = json.loads(out.read_text())
     assert found["commands"] == ["--limit 1", "--limit 2"] and len(found["cases"]) == 2
     assert all("statistics" in case for case in found["cases"].values())
+
+
+def test_no_two_bodies_have_one_name() -> None:
+    with pytest.raises(ValueError, match="one name"):
+        _by_name([BODIES["alder"], BODIES["alder"]])
+    assert BODIES["elder"].cfa != BODIES["elm"].cfa  # the one was once run under the other's

@@ -4,7 +4,7 @@ A body is black level, gains, one matrix, one tone curve, a demosaicker and Pois
 encoder. The bodies differ in all of it, in the order of operations and in what they do at the border.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,6 +75,7 @@ class Body:
     sign: int = 1  # which way effects with two directions go
     bright: Noise = Noise(12000.0, 3.0)
     dim: Noise = Noise(1500.0, 8.0)
+    seeds: str = ""  # whose name its draws come from, where that is not its own: it was run under that
     standing: tuple[str, ...] = ()  # what a simulator without this body's demosaicker misses from the start
 
     @property
@@ -90,9 +91,15 @@ def _matrix(*rows: tuple[float, float, float]) -> np.ndarray:
     return matrix / matrix.sum(axis=1, keepdims=True)
 
 
-BODIES = {
-    body.name: body
-    for body in (
+def _by_name(bodies: Sequence[Body]) -> dict[str, Body]:
+    found = {body.name: body for body in bodies}
+    if len(found) < len(bodies):
+        raise ValueError("two bodies have one name")
+    return found
+
+
+BODIES = _by_name(
+    (
         Body(
             "alder", "RGGB", 10, 64.0, (1.9, 1.0, 1.6),
             _matrix((1.5, -0.4, -0.1), (-0.2, 1.4, -0.2), (0.0, -0.4, 1.4)),
@@ -263,11 +270,11 @@ BODIES = {
         ),
         # by np.random.default_rng(20261127)
         Body(
-            "elder", "GRBG", 14, 228.0, (1.94, 1.0, 1.62),
+            "elm", "GRBG", 14, 228.0, (1.94, 1.0, 1.62),
             _matrix((1.6, -0.47, -0.13), (-0.33, 1.71, -0.38), (-0.22, -0.28, 1.5)),
             beta_share, "malvar", "bilinear", 93, encoder="opencv", order="balance-last",
             exposure=0.85, spot=0.48, luma_share=0.04, intermediate_bits=14,
-            bright=Noise(16000.0, 3.7), dim=Noise(2100.0, 7.5),
+            bright=Noise(16000.0, 3.7), dim=Noise(2100.0, 7.5), seeds="elder",
         ),
         Body(
             "fig", "GRBG", 14, 593.0, (2.07, 1.0, 1.47),
@@ -277,7 +284,7 @@ BODIES = {
             bright=Noise(15000.0, 4.2), dim=Noise(2200.0, 7.6),
         ),
     )
-}  # fmt: skip
+)  # fmt: skip
 LATER = (
     "juniper",
     "katsura",
@@ -296,7 +303,7 @@ LATER = (
     "banyan",
     "catalpa",
     "durian",
-    "elder",
+    "elm",
     "fig",
 )
 """Bodies that came last: what they were diagnosed with was settled before (docs/diagnosis.md)."""

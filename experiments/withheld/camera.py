@@ -54,14 +54,17 @@ class Shot:
 
     def chance(self, *words: object) -> np.random.Generator:
         """Random numbers of this frame of this scene."""
-        return np.random.default_rng(seed_of(self.body.name, self.seed, self.scene, self.frame, *words))
+        return self._random(self.scene, self.frame, *words)
 
     def fixed(self, *words: object) -> np.random.Generator:
         """Random numbers of the body: the same in all of its pictures."""
-        return np.random.default_rng(seed_of(self.body.name, self.seed, "fixed", *words))
+        return self._random("fixed", *words)
 
     def per_scene(self, *words: object) -> np.random.Generator:
-        return np.random.default_rng(seed_of(self.body.name, self.seed, self.scene, "scene", *words))
+        return self._random(self.scene, "scene", *words)
+
+    def _random(self, *words: object) -> np.random.Generator:
+        return np.random.default_rng(seed_of(self.body.seeds or self.body.name, self.seed, *words))
 
 
 def before_body(scene: np.ndarray, body: Body) -> np.ndarray:

@@ -85,7 +85,7 @@ def smooth_chroma(encoded: np.ndarray, reach: float, shot: Shot) -> np.ndarray:
 
 def sharpen(encoded: np.ndarray, amount: float, shot: Shot) -> np.ndarray:
     y = to_ycc(encoded)[..., 0]
-    width = {"alder": 0.8, "cedar": 1.6, "dogwood": 1.0, "elder": 2.0}.get(shot.body.name, 1.2)
+    width = {"alder": 0.8, "cedar": 1.6, "dogwood": 1.0, "elder": 2.0, "elm": 2.0}.get(shot.body.name, 1.2)
     return with_luma(encoded, y + amount * (y - blur(y, width)))
 
 
