@@ -366,16 +366,26 @@ class StatisticsProblem:
 
     def located(self, held: Sequence[int]) -> Rows:
         """The axes by their share of what the gap at the point has above what is harmless and chance."""
-        return located(self.difference[list(held)].mean(0), self._weights)
+        index = list(held)
+        apart, scenes = self._apart(self.real)[index], self._scenes_of(index)
+        return located(self.difference[index].mean(0), self._weights, apart, scenes)
+
+    def _apart(self, real: np.ndarray) -> np.ndarray:
+        """(N, F) what these statistics of each pair differ in from the simulated ones, in units."""
+        return np.asarray(self._scale * self._counted * (real - self._simulated))
+
+    def _scenes_of(self, which: Sequence[int]) -> list[str]:
+        return [scene_name(self.pairs.names[i]) for i in which]
 
     def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
         """These, where what stands in one place in all pictures is looked at without what it does to other
         statistics."""
         simulated = self.picture(self.z)
-        place = in_one_place(self.target - simulated, [scene_name(name) for name in self.pairs.names])
+        place = in_one_place(self.target - simulated, self._scenes_of(range(len(self.real))))
         if not place.any():
             return rows
         without = self.measured(np.where(place[..., None], simulated, self.target), self.reference)
-        left = self._mean(self._scale * self._counted * (without - self._simulated))
-        index = list(held)
-        return credited(rows, self.difference[index].mean(0), left[index].mean(0), self._weights)
+        index, both = list(held), [self._apart(real) for real in (self.real, without)]
+        difference, left = self.difference[index].mean(0), self._mean(both[1])[index].mean(0)
+        apart = [own[index] for own in both]
+        return credited(rows, difference, left, self._weights, apart, self._scenes_of(index))

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.measured import Rows
-from jaxisp.gap.noisy_units import axis_of, present
+from jaxisp.gap.noisy_units import axis_of, present, repeats
 from jaxisp.gap.statistics import feature_names
+from jaxisp.gap.where_interval import Draws
 
 _SPILT = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
 """Axes that whatever stands in one place shows on too: to a picture's statistics its pixels are outliers."""
@@ -17,49 +18,85 @@ _SURELY = 5.0  # standard deviations of a median over scenes: of 10^5 pixels one
 _LEAST_NOISE = 0.5  # 8-bit steps
 _DEVIATION = 1.4826  # of a normal distribution, by its median
 
+Above = dict[str, np.ndarray]
+"""By axis, what it has: one number, or (D,) by draw."""
 
-def located(difference: np.ndarray, weights: np.ndarray) -> list[dict[str, Any]]:
+
+def located(
+    difference: np.ndarray,
+    weights: np.ndarray,
+    apart: np.ndarray | None = None,
+    scenes: Sequence[str] = (),
+) -> list[dict[str, Any]]:
     """The axes by their share of what the gap has above what is harmless and chance.
 
     Args:
         difference: (F,) of the statistics' means over pairs, in their units, times the roots of the weights.
         weights: (F,) how much each counts.
+        apart: (N, F) of each pair, what `difference` is the mean of.
+        scenes: (N,) the name of each pair's scene.
+
+    Returns:
+        as `where` does, largest share first; `ci` is [low, high], the 90 % interval of the share over draws
+        of the scenes, units left as they are, or None of one scene, and without `apart`.
     """
-    names, above = feature_names(), _above(difference, weights)
+    names = feature_names()
     axes = np.array([axis_of(name) for name in names])
     in_units, counted = difference / np.sqrt(weights), weights * present(weights).mean()  # of those, mean one
+    shares = _shares(_above(difference**2 - weights, weights))
+    draws = Draws.of(scenes)
+    ci: dict[str, list[float] | None] = dict.fromkeys(shares)
+    if draws is not None and apart is not None:
+        drawn = _shares(_above(_excess(difference, apart, draws, weights), weights))
+        ci = _intervals(draws, shares, drawn)
     found = [
         {
             "axis": axis,
-            "share": own / (sum(above.values()) + 1e-9),
+            "share": float(share),
+            "ci": ci[axis],
             "p_value": _p_value(float((in_units[axes == axis] ** 2).mean())),
             "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
             "profile": [float(v) for v in in_units[axes == axis]],
             "weights": [float(v) for v in counted[axes == axis]],
             "unit": "what is harmless or chance",
         }
-        for axis, own in above.items()
+        for axis, share in shares.items()
     ]
     return _ranked(found)
 
 
-def credited(rows: Rows, difference: np.ndarray, without: np.ndarray, weights: np.ndarray) -> Rows:
+def credited(
+    rows: Rows,
+    difference: np.ndarray,
+    without: np.ndarray,
+    weights: np.ndarray,
+    apart: Sequence[np.ndarray] = (),
+    scenes: Sequence[str] = (),
+) -> Rows:
     """The rows of `located`, with what other axes only have of things that stand in one place as that one's.
 
     Args:
         rows: of the first.
         difference, without: (F,) as there, with what stands in one place and without it.
         weights: (F,).
+        apart: (N, F) of each pair, for both, as there. What moves is each draw's own, so that `ci` is of the
+            share that is shown.
+        scenes: (N,) as there.
     """
-    above, left = _above(difference, weights), _above(without, weights)
-    total = sum(above.values()) + 1e-9
-    spilt = {a: max(above[a] - left[a], 0.0) / total for a in _SPILT if a in above}
-    moved = spilt | {_PLACE: -sum(spilt.values())}
+    above, left = (_above(own**2 - weights, weights) for own in (difference, without))
+    spilt = _spilt(above, left)
+    draws, shares = Draws.of(scenes), _moved(above, left)
+    ci: dict[str, list[float] | None] = dict.fromkeys(shares)
+    if draws is not None:
+        both = zip((difference, without), apart)
+        drawn = _moved(*(_above(_excess(mean, own, draws, weights), weights) for mean, own in both))
+        ci = _intervals(draws, shares, drawn)
     surely = min((row["p_value"] for row in rows if spilt.get(row["axis"], 0.0) > 0), default=1.0)
 
     def own(row: dict[str, Any]) -> dict[str, Any]:
-        p_value = min(row["p_value"], surely) if row["axis"] == _PLACE else row["p_value"]
-        return row | {"share": row["share"] - moved.get(row["axis"], 0.0), "p_value": p_value}
+        axis = row["axis"]
+        p_value = min(row["p_value"], surely) if axis == _PLACE else row["p_value"]
+        return row | {"share": float(shares[axis]), "ci": ci[axis], "p_value": p_value}
 
     return _ranked([own(row) for row in rows])
 
@@ -95,10 +132,43 @@ def _standardised(residual: np.ndarray) -> np.ndarray:
     return np.asarray(fine / (np.sqrt(np.pi / 2) * around + _LEAST_NOISE))
 
 
-def _above(difference: np.ndarray, weights: np.ndarray) -> dict[str, float]:
-    axes, excess = np.array([axis_of(name) for name in feature_names()]), difference**2 - weights
-    axes, excess = axes[present(weights)], excess[present(weights)]
-    return {str(axis): max(float(excess[axes == axis].sum()), 0.0) for axis in dict.fromkeys(axes)}
+def _excess(difference: np.ndarray, apart: np.ndarray, draws: Draws, weights: np.ndarray) -> np.ndarray:
+    """(D, F) squares of the draws' differences above the weights. The chance of drawing is not added to that
+    of the scenes themselves, which the units hold already: on average draws have what all (F,) have."""
+    off = np.sqrt(repeats()) * (draws.means(apart) - apart.mean(0))
+    squares = (difference + off) ** 2
+    return np.asarray(squares - squares.mean(0) + difference**2 - weights)
+
+
+def _above(excess: np.ndarray, weights: np.ndarray) -> Above:
+    """By axis the sum of the excess (..., F), where it is positive."""
+    axes, counted = np.array([axis_of(name) for name in feature_names()]), present(weights)
+    return {
+        str(axis): np.maximum(excess[..., counted & (axes == axis)].sum(-1), 0.0)
+        for axis in dict.fromkeys(axes[counted])
+    }
+
+
+def _intervals(draws: Draws, shares: Above, drawn: Above) -> dict[str, list[float] | None]:
+    return {axis: draws.interval(float(share), drawn[axis]) for axis, share in shares.items()}
+
+
+def _shares(above: Above) -> Above:
+    total = sum(above.values()) + 1e-9
+    return {axis: own / total for axis, own in above.items()}
+
+
+def _spilt(above: Above, left: Above) -> Above:
+    """By axis the share that it has only of what stands in one place."""
+    total = sum(above.values()) + 1e-9
+    return {a: np.maximum(above[a] - left[a], 0.0) / total for a in above if a in _SPILT}
+
+
+def _moved(above: Above, left: Above) -> Above:
+    """The shares, with what is spilt as that axis's own."""
+    spilt = _spilt(above, left)
+    moved = spilt | {_PLACE: -sum(spilt.values())}
+    return {axis: share - moved.get(axis, 0.0) for axis, share in _shares(above).items()}
 
 
 def _ranked(rows: Rows) -> list[dict[str, Any]]:

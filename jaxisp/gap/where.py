@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxisp.gap import where_features as features
 from jaxisp.gap.where_features import POLAR_AXES, Scene
+from jaxisp.gap.where_interval import Draws
 from jaxisp.gap.where_profiles import Profiles
 from jaxisp.gap.where_scores import Bins, Changing, Explained, Lines, Regression, Repeated, Tail, Tiles, cut
 
@@ -46,8 +47,9 @@ def where(
 
     Returns:
         for each axis, largest first: `axis`; `share`, in [0, 1], of the weighted mean square that simpler
-        axes leave; `p_value`, corrected over the axes; `bins` and `profile` to plot, in `unit`; the `channel`
-        that shows it most; and `channels`, the share by channel.
+        axes leave; `ci`, [low, high], the 90 % interval of that over draws of the scenes, with what was
+        learnt left as it is, or None of one scene; `p_value`, corrected over the axes; `bins` and `profile`
+        to plot, in `unit`; the `channel` that shows it most; and `channels`, the share by channel.
 
     Raises:
         ValueError: shapes do not match, or are smaller than 64 px a side.
@@ -71,20 +73,30 @@ def where(
     signs[0] = 1
     explained = {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
     p_values = _corrected({axis: e.own.sum(1) for axis, e in explained.items()})
-    found = []
+    found, draws = [], Draws.of(names)
     for axis, e in explained.items():
-        shares = _shares(e, evidence.energy[int(axis in POLAR_AXES)])
-        first = {"axis": axis, "share": float(np.clip(shares.sum(), 0, 1)), "p_value": p_values[axis]}
+        energies = np.stack(evidence.energies)[:, int(axis in POLAR_AXES)]
+        shares = _shares(e.own[0], np.broadcast_to(e.known, e.own.shape)[0], energies.sum(0))
+        share, ci = float(np.clip(shares.sum(), 0, 1)), None
+        if draws is not None:
+            parts = e.own_by, np.broadcast_to(e.known_by, e.own_by.shape), energies
+            ci = draws.interval(share, _shares(*map(draws.means, parts)).sum(-1))
+        first = {"axis": axis, "share": share, "ci": ci, "p_value": p_values[axis]}
         found.append(first | evidence.profiles.of(axis, shares))
     return sorted(found, key=lambda f: -f["share"])
 
 
-def _shares(e: Explained, energy: np.ndarray) -> np.ndarray:
-    """(3,) by channel, of all energy: what is explained of what the simpler axes leave."""
-    total = energy.sum() + 1e-9
-    known = np.clip(np.broadcast_to(e.known, e.own.shape)[0], 0, energy)
+def _shares(own: np.ndarray, known: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    """(..., 3) by channel, of all energy: what is explained of what the simpler axes leave.
+
+    Args:
+        own, known: (..., 3) as `Explained` has them.
+        energy: (..., 3) weighted squares of the residual.
+    """
+    total = energy.sum(-1, keepdims=True) + 1e-9
+    known = np.clip(known, 0, energy)
     return (
-        e.own[0]
+        own
         / np.where(known > 0, energy - known + _SLACK * total, total)
         * np.where(known > 0, energy / total, 1)
     )
@@ -111,14 +123,15 @@ class _Evidence:
         self._changing = Changing(scenes)
         self._bins: dict[str, Bins] = {}
         self.profiles = Profiles(period)
-        self.energy = np.zeros((2, 3))  # by channel; chroma plain, and in polar form
+        self.energies: list[np.ndarray] = []  # (2, 3) of each, by channel; chroma plain, and in polar form
         self._scenes = len(set(scenes))
         self._frames = [f"{s + 1}.{list(scenes[:i]).count(s)}" for i, s in enumerate(scenes)]
 
     def add(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
         """One scene: residual (h, w, 3), weight (h, w)."""
         polar = scene.polar(residual)
-        self.energy += [(weight[..., None] * a**2).sum((0, 1), dtype=np.float64) for a in (residual, polar)]
+        squares = (weight[..., None] * a**2 for a in (residual, polar))
+        self.energies.append(np.stack([s.sum((0, 1), dtype=np.float64) for s in squares]))
         for axis, (build, _) in self._known.items():
             self._regressions[axis].add(
                 build(scene), polar if axis in POLAR_AXES else residual, weight, self._tiles
@@ -177,7 +190,8 @@ class _Evidence:
         for part in self._tiles.slices:
             values = detail[part][flat[part] > 0.5]
             if len(values) > 100:
-                self._tail.add(values, np.maximum(1.4826 * np.median(np.abs(values), 0), _ROUNDING))
+                scale = np.maximum(1.4826 * np.median(np.abs(values), 0), _ROUNDING)
+                self._tail.add(values, scale, len(self.energies) - 1)
 
     def axes(self) -> dict[str, Find]:
         """By axis, the energy explained for given signs."""
@@ -192,11 +206,13 @@ class _Evidence:
             )
 
         def block_phase(signs: np.ndarray, tiles: Tiles) -> Explained:
-            locked = bins["blocks"].explained(signs, tiles).own - bins["shifted"].explained(signs, tiles).own
-            return _larger(bins["phase"].explained(signs, tiles), Explained(locked))
+            on, off = (bins[name].explained(signs, tiles) for name in ("blocks", "shifted"))
+            locked = Explained(on.own - off.own, on.own_by - off.own_by)
+            return _larger(bins["phase"].explained(signs, tiles), locked)
 
         def lag(signs: np.ndarray, tiles: Tiles) -> Explained:
-            return Explained(np.sum([r.explained(signs, tiles).own for r in self._lag], 0))
+            parts = [r.explained(signs, tiles) for r in self._lag]
+            return Explained(np.sum([p.own for p in parts], 0), np.sum([p.own_by for p in parts], 0))
 
         found: dict[str, Find] = {axis: r.explained for axis, r in self._regressions.items()}
         found |= {"row": row, "column": column, "block_phase": block_phase, "lag": lag}
@@ -220,7 +236,9 @@ def _flat(edge: np.ndarray, weight: np.ndarray) -> np.ndarray:
 def _larger(a: Explained, b: Explained) -> Explained:
     """The one that explains more, draw by draw."""
     first = a.own.sum(1, keepdims=True) >= b.own.sum(1, keepdims=True)
-    return Explained(np.where(first, a.own, b.own), np.where(first, a.known, b.known))
+    own, known = np.where(first, a.own, b.own), np.where(first, a.known, b.known)
+    chosen = a if first[0] else b
+    return Explained(own, chosen.own_by, known, chosen.known_by)
 
 
 def _sums(

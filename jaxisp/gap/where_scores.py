@@ -31,6 +31,10 @@ class Tiles:
         own = signs[:, scene * len(self.slices) : (scene + 1) * len(self.slices)]
         return own.reshape(len(signs), -1, self.across)
 
+    def by_picture(self, scores: np.ndarray) -> np.ndarray:
+        """(N, 3) sums over the tiles of each, out of all (B, 3)."""
+        return np.asarray(scores.reshape(-1, len(self.slices), scores.shape[-1]).sum(1))
+
 
 def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray) -> Tiles:
     """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only. What
@@ -52,15 +56,19 @@ def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray) -> T
 
 @dataclass(frozen=True)
 class Explained:
-    """Energies by channel, for each draw of signs.
+    """Energies by channel, for each draw of signs; the first of these flips none.
 
     Attributes:
         own: (D, 3) what is explained beyond `known`.
+        own_by: (N, 3) what each picture adds to that of the first draw, by what was learnt on the others.
         known: (D, 3) or 0, what simpler axes explain.
+        known_by: (N, 3) or 0, likewise.
     """
 
     own: np.ndarray
+    own_by: np.ndarray
     known: np.ndarray | float = 0.0
+    known_by: np.ndarray | float = 0.0
 
 
 class Regression:
@@ -88,25 +96,36 @@ class Regression:
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         gram, slope = np.stack(self._gram), np.stack(self._slope)
         total, known = np.zeros((2, len(signs), 3))
+        total_by, known_by = np.zeros((2, len(slope), 3))
         for test in tiles.folds:
             grams = gram[~test].sum(0), gram[test].sum(0)
             slopes = [np.tensordot(signs[:, part], slope[part], 1) for part in (~test, test)]
-            total += self._gain(grams, slopes, gram.shape[-1], range(3))
+            scored = gram[test], slope[test]
+            gain, total_by[test] = self._gain(grams, slopes, scored, gram.shape[-1], range(3))
+            total += gain
             for channel, given in enumerate(self.given):
                 if given:
-                    known[:, [channel]] += self._gain(grams, slopes, given, [channel])
-        return Explained(total - known, known)
+                    gain, by = self._gain(grams, slopes, scored, given, [channel])
+                    known[:, [channel]] += gain
+                    known_by[np.ix_(test, [channel])] = by
+        total_by, known_by = tiles.by_picture(total_by), tiles.by_picture(known_by)
+        return Explained(total - known, total_by - known_by, known, known_by)
 
     def _solve(self, gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
         diagonal = np.diag(gram) + 1e-12
         ridge = diagonal * (1e-5 + _RIDGE / (self._support[: len(gram)] + _RIDGE))
         return np.linalg.solve(gram + np.diag(ridge), slope)
 
-    def _gain(self, grams: Any, slopes: Any, count: int, channels: Sequence[int]) -> np.ndarray:
-        """What the first `count` coefficients, learnt on the one part, explain of the other."""
+    def _gain(
+        self, grams: Any, slopes: Any, scored: Any, count: int, channels: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the first `count` coefficients, learnt on the one part, explain of the other, draw by draw;
+        and of the first draw's what they explain of each of the `scored` tiles there."""
         learn, test = (s[:, :count][..., list(channels)] for s in slopes)
         found = self._solve(grams[0][:count, :count], learn)
-        return (found * (2 * test - grams[1][:count, :count] @ found)).sum(1)
+        gram, slope = scored[0][:, :count, :count], scored[1][:, :count][..., list(channels)]
+        by_tile = (found[0] * (2 * slope - gram @ found[0])).sum(1)
+        return (found * (2 * test - grams[1][:count, :count] @ found)).sum(1), by_tile
 
 
 class Bins:
@@ -124,20 +143,24 @@ class Bins:
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         sums, counts = np.stack(self._sums), np.stack(self._counts)
-        total = _gain(signs, sums, counts, tiles.folds)
+        total, total_by = _gain(signs, sums, counts, tiles)
         if self._merge is None:
-            return Explained(total)
-        known = _gain(signs, self._merge @ sums, self._merge @ counts, tiles.folds)
-        return Explained(total - known, known)
+            return Explained(total, total_by)
+        known, known_by = _gain(signs, self._merge @ sums, self._merge @ counts, tiles)
+        return Explained(total - known, total_by - known_by, known, known_by)
 
 
-def _gain(signs: np.ndarray, sums: np.ndarray, counts: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    total = np.zeros((len(signs), 3))
-    for test in folds:
+def _gain(
+    signs: np.ndarray, sums: np.ndarray, counts: np.ndarray, tiles: Tiles
+) -> tuple[np.ndarray, np.ndarray]:
+    """(D, 3) of each draw, and (N, 3) of the first's by picture."""
+    total, by_tile = np.zeros((len(signs), 3)), np.zeros((len(sums), 3))
+    for test in tiles.folds:
         learn, scored = (np.tensordot(signs[:, part], sums[part], 1) for part in (~test, test))
         mean = learn / (counts[~test].sum(0) + _RIDGE)
         total += (mean * (2 * scored - counts[test].sum(0) * mean)).sum(1)
-    return total
+        by_tile[test] = (mean[0] * (2 * sums[test] - counts[test] * mean[0])).sum(1)
+    return total, tiles.by_picture(by_tile)
 
 
 class Lines:
@@ -154,7 +177,7 @@ class Lines:
         self._scenes.append((sums.astype(np.float64), counts.astype(np.float64), rows))
 
     def explained(self, signs: np.ndarray, tiles: Tiles, *, transposed: bool = False) -> Explained:
-        total = np.zeros((len(signs), 3))
+        total, by_picture = np.zeros((len(signs), 3)), []
         for scene, (sums, counts, rows) in enumerate(self._scenes):
             own = tiles.of_scene(signs, scene)
             own = (own.swapaxes(1, 2) if transposed else own)[:, rows]
@@ -162,8 +185,10 @@ class Lines:
             pixels = [counts[:, i::2].sum(1)[:, None] for i in (0, 1)]
             starts = np.arange(0, len(rows), 8)
             coarse = [np.add.reduceat(a, starts, axis=-2) for a in (*halves, *pixels)]
-            total += _half_gain(*halves, *pixels) - _half_gain(*coarse)
-        return Explained(total)
+            gain = _half_gain(*halves, *pixels) - _half_gain(*coarse)
+            total += gain
+            by_picture.append(gain[0])
+        return Explained(total, np.stack(by_picture))
 
 
 def _half_gain(a: np.ndarray, b: np.ndarray, pixels_a: np.ndarray, pixels_b: np.ndarray) -> np.ndarray:
@@ -194,7 +219,15 @@ class Repeated:
         others = self._apart.sum(1, keepdims=True)
         products = self.products(tiles) * (self._apart / np.maximum(others, 1))
         own = signs.reshape(len(signs), len(others), -1)
-        return Explained(np.einsum("dit,tcij,djt->dc", own, products, own, optimize=True))
+        total = np.einsum("dit,tcij,djt->dc", own, products, own, optimize=True)
+        return Explained(total, self._by_picture(products.sum(0)))
+
+    @staticmethod
+    def _by_picture(products: np.ndarray) -> np.ndarray:
+        """(N, 3) what each picture adds to the sum of (3, N, N). A product is of two, and changes with how
+        often either is drawn: each counts with all that it is in, less half of that on average."""
+        twice = products.sum(1) + products.sum(2)
+        return np.asarray((twice - twice.mean(1, keepdims=True) / 2).T)
 
 
 class Changing:
@@ -230,7 +263,7 @@ class Changing:
             total = np.einsum("dnt,ntc->dnc", own[..., part], sums[:, part])
             means.append(self._apart @ (total / (sizes[-1] + _RIDGE)))
         gains = [sizes[1 - k] * means[k] * (2 * means[1 - k] - means[k]) for k in (0, 1)]
-        return Explained(np.sum(gains, (0, 2)))
+        return Explained(np.sum(gains, (0, 2)), np.sum([gain[0] for gain in gains], 0))
 
 
 class Tail:
@@ -241,18 +274,23 @@ class Tail:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._energy = np.zeros(3)
+        self._energies: list[tuple[int, np.ndarray]] = []
         self._one = np.zeros(3)
         self._expected = np.zeros(3)
 
-    def add(self, values: np.ndarray, scale: np.ndarray) -> None:
-        """Take in one tile: (P, 3) detail of the residual where it is flat, (3,) standard deviations."""
+    def add(self, values: np.ndarray, scale: np.ndarray, picture: int) -> None:
+        """Take in one tile: (P, 3) detail of the residual where it is flat, (3,) standard deviations; and
+        the number of its picture."""
         far = np.abs(values) > self.LIMIT * scale
-        self._energy += (values**2 * far).sum(0)
+        self._energies.append((picture, (values**2 * far).sum(0)))
         self._one = np.maximum(self._one, (self.LIMIT * scale) ** 2)
         self._expected += self._USUAL * len(values)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         draws = self._rng.poisson(self._expected, (len(signs), 3)) * self._one
-        draws[0] = self._energy
-        return Explained(draws)
+        draws[0] = 0
+        by_picture = np.zeros((tiles.folds.shape[1] // len(tiles.slices), 3))
+        for picture, energy in self._energies:
+            draws[0] += energy
+            by_picture[picture] += energy
+        return Explained(draws, by_picture)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.noisy_units import axis_of, weights
+from jaxisp.gap.noisy_units import axis_of, present, weights
 from jaxisp.gap.noisy_where import credited, in_one_place, located
 from jaxisp.gap.statistics import feature_names
 
@@ -64,3 +64,52 @@ def test_what_vanishes_with_the_place_is_the_place_s():
     )
     assert now["row"] == share["row"] and sum(now.values()) == pytest.approx(sum(share.values()))
     assert [row["share"] for row in found] == sorted(now.values(), reverse=True)
+
+
+def by_scene(sizes, axis="row"):
+    """(N, F) differences in units, as large as these on one axis, and 1.5 on all others."""
+    return np.where(axis == AXIS, np.reshape(sizes, (-1, 1)), 1.5) * np.sqrt(weights())
+
+
+def spread_of(apart, names, axis="row"):
+    row = next(r for r in located(apart.mean(0), weights(), apart, names) if r["axis"] == axis)
+    assert 0 <= row["ci"][0] <= row["share"] <= row["ci"][1] <= 1
+    return row["ci"][1] - row["ci"][0]
+
+
+def test_interval_is_of_the_scenes():
+    names = ["a", "b", "c", "d"]
+    assert spread_of(by_scene([3, 3, 3, 3]), names) == pytest.approx(0, abs=1e-9)
+    like, unlike = spread_of(by_scene([3.2, 2.8, 3.1, 2.9]), names), spread_of(by_scene([12, 0, 0, 0]), names)
+    assert 0 < like < 0.15 < 0.4 < unlike
+    frames = [12, 12, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    assert spread_of(by_scene(frames), [*"aaabbbcccddd"]) == pytest.approx(unlike)
+    assert spread_of(by_scene(frames), [*"abcdefghijkl"]) < 0.8 * unlike
+    for apart, scenes in ((by_scene([3]), ["a"]), (by_scene([3, 2]), ["a", "a"])):
+        assert all(row["ci"] is None for row in located(apart.mean(0), weights(), apart, scenes))
+
+
+def test_chance_of_scenes_is_not_an_axis(rng):
+    """Where all that scenes differ in is chance, as large as the units say, no axis has the whole for sure,
+    nor more in draws than in all."""
+    counted = present(weights())
+    apart = by_scene([4] * 8) + np.sqrt(8 * weights()) * counted * rng.normal(size=(8, len(AXIS)))
+    for row in located(apart.mean(0), weights(), apart, [*"abcdefgh"]):
+        low, high = row["ci"]
+        assert high - low < 0.35 and low <= row["share"] <= high
+
+
+def test_interval_moves_with_what_is_credited():
+    sizes, names = [6, 3, 6, 3], ["a", "b", "c", "d"]
+    apart = by_scene(sizes, "tail")
+    without = np.where(AXIS == "tail", 0, apart)
+    args = apart.mean(0), without.mean(0), weights()
+    rows = located(args[0], weights(), apart, names)
+    before = {row["axis"]: row for row in rows}
+    after = {row["axis"]: row for row in credited(rows, *args, (apart, without), names)}
+    assert after["tail"]["share"] == pytest.approx(0, abs=1e-9)
+    assert after["tail"]["ci"] == pytest.approx([0, 0], abs=1e-9)
+    low, high = after["fixed_pattern"]["ci"]
+    assert low < after["fixed_pattern"]["share"] < high
+    assert low > before["fixed_pattern"]["ci"][1] and after["row"]["ci"] == before["row"]["ci"]
+    assert all(row["ci"] is None for row in credited(rows, *args))

@@ -180,3 +180,55 @@ def test_wrong_shapes_are_refused():
             np.ones((1, 64, 64)),
             rng=np.random.default_rng(0),
         )
+
+
+FOUR = scenes(np.random.default_rng(6), 4, (64, 72))
+WAVE = 6 * np.sin(FOUR[..., :1] / 255 * 3 * np.pi) * [1, 0, 0]
+
+
+def spread_of(axis, residual, pictures=FOUR, names=None):
+    """(low, high, share) of one axis."""
+    weight = np.ones(pictures.shape[:3])
+    rows = where(residual, pictures, weight, scenes=names, rng=np.random.default_rng(0))
+    row = next(row for row in rows if row["axis"] == axis)
+    json.dumps(row["ci"], allow_nan=False)
+    assert 0 <= row["ci"][0] <= row["share"] <= row["ci"][1] <= 1
+    return *row["ci"], row["share"]
+
+
+def test_what_all_scenes_show_alike_is_sure():
+    noise = 3 * np.random.default_rng(7).normal(size=FOUR.shape)
+    expected = np.mean(WAVE**2) / (np.mean(WAVE**2) + 9)
+    low, high, _ = spread_of("intensity", WAVE + noise)
+    assert low < expected < high and high - low < 0.2
+    some = spread_of("intensity", WAVE * np.array([2, 0.5, 0.5, 0.5])[:, None, None, None] + noise)
+    assert some[1] - some[0] > 5 * (high - low), "mostly one scene's"
+
+
+def test_what_one_scene_of_four_shows_is_not_sure():
+    rng = np.random.default_rng(8)
+    noise = rng.normal(size=FOUR.shape)
+    spots = np.where(rng.random(FOUR.shape[:3]) < 1e-3, 60, 0)[..., None] * [1, 0, 0]
+    low, high, share = spread_of("tail", noise + spots)
+    one = spread_of("tail", noise + spots * (np.arange(4) == 2)[:, None, None, None])
+    assert low > 0.5 * share and high < 1.5 * share
+    assert one[0] == 0 and one[1] > 2 * one[2]
+
+
+def test_frames_of_a_scene_are_drawn_together():
+    """Three frames of each are no more scenes than one is; as scenes of their own they would be."""
+    rng, three = np.random.default_rng(9), np.repeat(np.arange(4), 3)
+    pictures, noise = FOUR[three], rng.normal(size=(12, *FOUR.shape[1:]))
+    lines = rng.normal(size=(12, 64, 1, 1)) * np.array([2, 1, 1, 0.5])[three][:, None, None, None] * [1, 0, 0]
+    together = spread_of("row", noise + lines, pictures, list(three))
+    alone = spread_of("row", noise + lines, pictures)
+    assert together[1] - together[0] > 1.5 * (alone[1] - alone[0])
+
+
+@pytest.mark.parametrize("names", [["a"] * 4, ["a"]])
+def test_one_scene_has_no_interval(names):
+    pictures = FOUR[: len(names)]
+    residual = np.random.default_rng(1).normal(size=pictures.shape)
+    weight = np.ones(pictures.shape[:3])
+    found = where(residual, pictures, weight, scenes=names, rng=np.random.default_rng(0))
+    assert all(row["ci"] is None for row in found)
