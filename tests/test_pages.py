@@ -106,6 +106,10 @@ def diagnosis(folder):
         {"effect": f"lateral_chromatic_aberration_{i}", "closed": 0.01 * i, "status": "not_identifiable"}
         for i in range(9)
     ]
+    report["ranking"][0] |= {"predicted": 0.64}
+    report["ranking"][-1] |= {"reason": "looks the same as lateral_chromatic_aberration_and_so_on"}
+    report["gap"]["reducible"] = {"best": 2.2, "explained": 0.93, "how": "a small network on what is left"}
+    report["where"][0]["ci"] = [0.5, 0.9]
     wave = list(np.sin(np.arange(20.0)))
     report["where"].append(
         {"axis": "intensity", "share": 0.3, "p_value": 0.001, "bins": list(range(20)), "profile": wave}

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxisp.errors import InputError
-from jaxisp.gap import prepare
+from jaxisp.gap import advice, prepare
+from jaxisp.gap.ceiling import reducible
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import Laid, in_one_frame
@@ -18,10 +19,11 @@ from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_pairs import on_each_other
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
-from jaxisp.gap.rows import base_row, cause_row, ranking_rows
+from jaxisp.gap.rows import NO_HEADER, STATED, TAKEN_UP, base_row, cause_row, ranking_rows
 from jaxisp.gap.scenes import split_of
+from jaxisp.gap.spectra import held_out_spreads
 from jaxisp.gap.stepwise import Tick
-from jaxisp.gap.verdict import MOST_CAUSES, NULL_EXCESS, Found, gap_at, searched
+from jaxisp.gap.verdict import MOST_CAUSES, NULL_DROP, NULL_EXCESS, Found, gap_at, searched
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
@@ -35,7 +37,8 @@ METRIC = {
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """What was found. `report` is report.json; `pictures` shows one held-out pair."""
+    """What was found. `report` is report.json; `pictures` shows one held-out pair, and how what is left in
+    all of them is spread over frequencies and neighbours."""
 
     report: dict[str, Any]
     pictures: dict[str, Any] = dataclasses.field(repr=False)
@@ -95,17 +98,17 @@ def diagnose(
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
     case, laid = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
-    problem, first = case.problem, case.split.held_out[0]
+    problem = case.problem
     gap = gap_at(case)
-    pictures = _pictures(problem, first, "before")
+    pictures = _pictures(case, "before")
     base = problem.model, problem.z.copy()
     found = searched(case, gap, tick)
-    report = _report(case, gap, found, base[0])
+    report = _report(case, gap, found, base[0], tick)
     report["pairs"] |= _laid(laid, case.strays)
     if downstream is not None:
         report["downstream"] = _trained(case, base, found, downstream, tick)
-    none = {"after": None, "residual_after": None}
-    pictures |= _pictures(problem, first, "after") if found.causes else none
+    if found.causes:
+        pictures |= _pictures(case, "after")
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
 
@@ -122,13 +125,19 @@ def _laid(laid: Laid, strays: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
+def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict[str, Any]:
     """report.json, but for the seconds and what could not be used."""
     problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
     after = found.causes[-1][0].after if found.causes else gap.before
-    known = dict.fromkeys((*case.absorbed, *problem.model.effects))
+    apart = dict.fromkeys(problem.model.effects, STATED) | {"double_compression": NO_HEADER}
+    apart |= dict.fromkeys(case.absorbed, TAKEN_UP)
     causes = [cause_row(t, alike, len(case.offered), problem.model) for t, alike in found.causes]
+    reached = {}
+    if there:
+        tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
+        refits = [t.after for t in (*found.trials.values(), *found.nearest)]
+        reached = {"reducible": reducible(case, gap, after, refits, NULL_DROP[case.kind])}
     return {
         "schema": 1,
         "kind": case.kind,
@@ -141,12 +150,12 @@ def _report(case: Case, gap: Gap, found: Found, base: Model) -> dict[str, Any]:
         "gap": {
             "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,
             "ci": _interval(problem, held, after),
-        } | _statistics(found.before.rows),
+        } | reached | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
-        "ranking": ranking_rows(found.causes, found.trials, found.promises, known, gap.scale),
+        "ranking": ranking_rows(found, apart, gap.scale),
         "where": list(found.before.where) if there else [],
-        "unexplained": _unexplained(found, after, gap),
+        "unexplained": _unexplained(found, after, gap, there),
         "seconds": 0.0,
     }  # fmt: skip
 
@@ -293,10 +302,12 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
     return list(interval(problem.clustered(share * left, held), 1.0))
 
 
-def _unexplained(found: Found, after: float, gap: Gap) -> dict[str, Any]:
+def _unexplained(found: Found, after: float, gap: Gap, there: bool) -> dict[str, Any]:
     share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.where)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(axes)}" if axes else "")
-    row = {"share": share, "axes": axes, "description": text}
+    wanted = axes if found.causes else _left(found.before.where)
+    next_one = advice.about(wanted) if there and share > _LITTLE else None
+    row = {"share": share, "axes": axes, "description": text, "next_measurement": next_one}
     if found.refused is None:
         return row
     causes, shown = found.refused.causes, found.refused.after
@@ -305,16 +316,27 @@ def _unexplained(found: Found, after: float, gap: Gap) -> dict[str, Any]:
     return row | {"nearest": nearest}
 
 
+_LITTLE = 0.15
+"""The share of the gap that needs no measurement more."""
+
+
 def _left(rows: Rows) -> list[str]:
     """The axes that clearly have some of a gap, three at most."""
     return [str(row["axis"]) for row in rows if row["p_value"] < 0.01 and row["share"] > 0.02][:3]
 
 
-def _pictures(problem: Any, i: int, when: str) -> dict[str, Any]:
-    """One pair as the simulator makes it where the problem stands, and what it lacks."""
+def _pictures(case: Case, when: str) -> dict[str, Any]:
+    """One held-out pair as the simulator makes it where the problem stands, what it lacks, and how that is
+    spread in all of them."""
+    problem, i = case.problem, case.split.held_out[0]
+    whole = problem.rendered(problem.z)
+    picture = to_steps(whole[problem.inner])
+    spreads = held_out_spreads(case, picture)
     return {
         "name": problem.pairs.names[i],
         "target": problem.pairs.pictures[i],
-        when: problem.rendered(problem.z)[i],
-        f"residual_{when}": problem.target[i] - problem.picture(problem.z)[i],
+        when: whole[i],
+        f"residual_{when}": problem.target[i] - picture[i],
+        f"spread_{when}": spreads.pop("simulator"),
+        **{f"spread_{whose}": own for whose, own in spreads.items()},
     }

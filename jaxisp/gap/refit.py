@@ -83,9 +83,10 @@ class Trial:
 
     @property
     def accepted(self) -> bool:
-        if self.low > max(SMALLEST, self.least) and self.surely > SMALLEST:
-            return self.possible
-        return self.shown and self.low > self.plainly
+        if self.low <= SMALLEST or not self.possible:
+            return False
+        by_statistics = self.low > self.least and self.surely > SMALLEST
+        return by_statistics or (self.shown and self.low > self.plainly)
 
 
 def switched_on(problem: Measured) -> list[int]:

@@ -14,7 +14,8 @@ from markupsafe import Markup
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report_downstream import downstream_part
 from jaxisp.gap.report_params import parameters_of
-from jaxisp.gap.report_plots import curve, data_uri, difference_picture, gain_for, spectrum_picture
+from jaxisp.gap.report_plots import curve, data_uri, difference_picture, gain_for
+from jaxisp.gap.report_spectra import spectra_part
 from jaxisp.gap.report_words import any_of, chance, counted, finite, listed, number, percent, span, words
 from jaxisp.io.files import atomic_write, output_folder
 
@@ -51,8 +52,9 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
     Args:
         report: what report.json holds.
         pictures: of one held-out pair: `name`; `target`, `before` and `after` (H, W, 3) in [0, 1];
-            `residual_before` and `residual_after` (h, w, 3) in Y'CbCr, 8-bit steps; `spectrum_before` (h, w)
-            energies. Any but the first may be absent or None.
+            `residual_before` and `residual_after` (h, w, 3) in Y'CbCr, 8-bit steps. Of all held-out pairs:
+            `spread_before`, `spread_after` and `spread_real` or `spread_floor`, see `jaxisp.gap.spectra`. Any
+            but the first may be absent or None.
         folder: made where it does not exist.
 
     Returns:
@@ -97,15 +99,17 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         warning=few_pairs(report).capitalize(),
         metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
         gap=_gap(report["gap"], bool(report["causes"])),
+        reducible=_reducible(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
         where=[_axis(w, statistics) for w in shown],
         rest=", ".join(f"{words(w['axis'])} {percent(w['share'])}" for w in others),
+        spectra=spectra_part(report["kind"], pictures),
         ranking=bars[:_BARS],
         more=bars[_BARS:],
         causes=[_cause(c) for c in report["causes"]],
         left=_left(report),
-        next=_next(report["causes"]),
+        next=_next(report),
         downstream=downstream_part(report.get("downstream")),
         data=_data(report),
     )
@@ -192,10 +196,12 @@ def _group(cause: Mapping[str, Any]) -> str:
 def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     values = [gap["before"], gap["after"], gap["floor"], *gap["ci"]]
     top = max((v for v in values if finite(v)), default=0) * 1.02 or 1
-    floor = ("floor", gap["floor"], None)
-    rows = [("before", gap["before"], None), ("after", gap["after"], gap["ci"]), floor]
+    rows = [("before", gap["before"], None), ("after", gap["after"], gap["ci"])]
     if not changed:
-        rows = [("gap", gap["before"], gap["ci"]), floor]
+        rows = [("gap", gap["before"], gap["ci"])]
+    if _lower(gap):
+        rows.append(("flexible model", gap["reducible"]["best"], None))
+    rows.append(("floor", gap["floor"], None))
     return [
         _bar(name, value, top, number(value) + (f" [{number(ci[0])}, {number(ci[1])}]" if ci else ""), ci)
         | {"kind": name}
@@ -203,9 +209,30 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     ]
 
 
+def _reducible(gap: Mapping[str, Any], changed: bool) -> str:
+    """How the named effects compare with a flexible model; "" where there is none."""
+    found = gap.get("reducible") or {}
+    if not finite(found.get("best")):
+        return ""
+    if not _lower(gap):
+        return "No flexible model of ours gets lower."
+    if not changed or not finite(found.get("explained")):
+        return f"A flexible model ({found['how']}) gets to {number(found['best'])}."
+    share, how = percent(found["explained"]), found["how"]
+    return f"Of what our flexible models could reduce (lowest: {how}), the named effects are {share}."
+
+
+def _lower(gap: Mapping[str, Any]) -> bool:
+    """Whether a flexible model gets lower than the named effects."""
+    best = (gap.get("reducible") or {}).get("best")
+    return finite(best) and finite(gap["after"]) and best < gap["after"]
+
+
 def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = report["ranking"]
-    top = max([1.0, *(r["ci"][1] for r in rows if r.get("ci") and finite(r["ci"][1]))])
+    refitted = [r for r in rows if r.get("ci")]
+    ends = [v for r in refitted for v in (r["ci"][1], r.get("predicted")) if finite(v)]
+    top = max([1.0, *ends])
     bars = []
     for row in rows:
         ci = row.get("ci")
@@ -217,22 +244,36 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             ci,
         )
         status = _STATUS.get(row["status"], row["status"]) if row.get("possible", True) else _FARTHER
-        bars.append(bar | {"kind": row["status"], "status": status})
+        reason = " ".join(words(w) if "_" in w else w for w in (row.get("reason") or "").split())
+        bar |= {"kind": row["status"], "status": reason or status}
+        if ci and finite(row.get("predicted")):
+            bar |= {"mark": _place(row["predicted"], top), "predicted": percent(row["predicted"])}
+        bars.append(bar)
     return bars
 
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
-    def place(x: float) -> float:
-        return round(100 * min(max(x / top, 0), 1), 2) if finite(x) else 0
-
     span = None
     if ci and all(map(finite, ci)):
-        span = (place(ci[0]), max(round(place(ci[1]) - place(ci[0]), 2), 0.3))
-    return {"name": name, "value": text, "width": place(value), "range": span}
+        first, last = (_place(v, top) for v in ci)
+        span = (first, max(round(last - first, 2), 0.3))
+    return {"name": name, "value": text, "width": _place(value, top), "range": span}
+
+
+def _place(x: float, top: float) -> float:
+    """Per cent of a track that ends at `top`."""
+    return round(100 * min(max(x / top, 0), 1), 2) if finite(x) else 0
 
 
 def _axis(w: Mapping[str, Any], statistics: bool) -> dict[str, Any]:
-    shown = {"name": words(w["axis"]), "share": percent(w["share"]), "p": chance(w["p_value"])}
+    shown: dict[str, Any] = {
+        "name": words(w["axis"]),
+        "share": percent(w["share"]),
+        "p": chance(w["p_value"]),
+    }
+    if w.get("ci") and all(map(finite, w["ci"])):
+        shown["share"] += f" {span(w['ci'])}"
+        shown["bar"] = _bar("", w["share"], 1.0, "", w["ci"])
     if statistics:
         rows, note = statistic_rows(w)
         return shown | {"meaning": STATISTICS.get(w["axis"], ""), "rows": rows, "note": note}
@@ -260,13 +301,15 @@ def _left(report: Mapping[str, Any]) -> str:
     return f"{percent(left['share'])} of the gap is left.{shows}"
 
 
-def _next(causes: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [
+def _next(report: Mapping[str, Any]) -> list[str]:
+    found = [
         f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
         f"{c['next_measurement']}."
-        for c in causes
+        for c in report["causes"]
         if c["next_measurement"]
     ]
+    left = report["unexplained"].get("next_measurement")
+    return [*found, f"To see alone what is left: {left}."] if left else found
 
 
 def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -303,7 +346,5 @@ def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
     for when, residual in differences.items():
         caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
         shown.append((caption, difference_picture(residual, gain)))
-    if pictures.get("spectrum_before") is not None:
-        shown.append(("spectrum of the difference", spectrum_picture(pictures["spectrum_before"])))
     figures = [{"caption": text, "uri": data_uri(a)} for text, a in shown if a is not None]
     return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None

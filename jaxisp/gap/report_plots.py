@@ -9,7 +9,9 @@ import numpy as np
 from markupsafe import escape
 from PIL import Image
 
-_W, _H, _LEFT, _RIGHT, _TOP, _BOTTOM = 300, 170, 46, 10, 12, 28
+WIDTH, HEIGHT, LEFT, RIGHT, BOTTOM = 300, 170, 46, 10, 28
+"""Of every plot, and the margins that its axes have."""
+_TOP = 12
 _MOST_BARS = 16
 _GAINS = (32, 16, 8, 4, 2, 1)
 _WITHIN = 98  # per cent of the differences that a gain must leave between black and white
@@ -19,16 +21,16 @@ def curve(bins: Sequence[Any], profile: Sequence[float], title: str) -> str:
     """An SVG of a profile: a line where there are many bins, bars where there are few or they have names."""
     values = np.nan_to_num(np.asarray(profile, float))
     if not len(values):
-        return _svg(title, f'<text x="{_W / 2}" y="{_H / 2}" text-anchor="middle">no profile</text>')
+        return svg(title, f'<text x="{WIDTH / 2}" y="{HEIGHT / 2}" text-anchor="middle">no profile</text>')
     if len(bins) == 64:
-        return _svg(title, _grid(values.reshape(8, 8)))
+        return svg(title, _grid(values.reshape(8, 8)))
     low, high = min(values.min(), 0), max(values.max(), 0)
     span = (high - low) or 1.0
 
     def at(v: float) -> float:
-        return _TOP + (high - v) / span * (_H - _TOP - _BOTTOM)
+        return _TOP + (high - v) / span * (HEIGHT - _TOP - BOTTOM)
 
-    edges = np.linspace(_LEFT, _W - _RIGHT, len(values) + 1)
+    edges = np.linspace(LEFT, WIDTH - RIGHT, len(values) + 1)
     centres = (edges[1:] + edges[:-1]) / 2
     named = any(isinstance(b, str) for b in bins)
     if named or len(values) <= _MOST_BARS:
@@ -40,24 +42,24 @@ def curve(bins: Sequence[Any], profile: Sequence[float], title: str) -> str:
     else:
         points = " ".join(f"{x:.1f},{at(v):.1f}" for x, v in zip(centres, values))
         marks = f'<polyline class="curve" points="{points}"/>'
-    zero = f'<line class="axis" x1="{_LEFT}" x2="{_W - _RIGHT}" y1="{at(0):.1f}" y2="{at(0):.1f}"/>'
-    return _svg(title, marks + zero + _ticks(low, high, at) + _labels(bins, centres))
+    zero = f'<line class="axis" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at(0):.1f}" y2="{at(0):.1f}"/>'
+    return svg(title, marks + zero + _ticks(low, high, at) + _labels(bins, centres))
 
 
 def _ticks(low: float, high: float, at: Any) -> str:
     shown = [v for v in dict.fromkeys((low, 0.0, high)) if v == 0 or abs(v) > 0.12 * (high - low)]
     return "".join(
-        f'<text x="{_LEFT - 5}" y="{at(v) + 4:.1f}" text-anchor="end">{v:.2g}</text>' for v in shown
+        f'<text x="{LEFT - 5}" y="{at(v) + 4:.1f}" text-anchor="end">{v:.2g}</text>' for v in shown
     )
 
 
 def _labels(bins: Sequence[Any], centres: np.ndarray) -> str:
     """As many of the bins' names as there is room for."""
     texts = [b if isinstance(b, str) else f"{b:.3g}" if b == 0 or abs(b) >= 1 else f"{b:.2f}" for b in bins]
-    room = (_W - _LEFT - _RIGHT) / (6.2 * max((len(t) for t in texts), default=1) + 8)
+    room = (WIDTH - LEFT - RIGHT) / (6.2 * max((len(t) for t in texts), default=1) + 8)
     step = max(1, int(np.ceil(len(texts) / max(room, 1))))
     return "".join(
-        f'<text x="{x:.1f}" y="{_H - 9}" text-anchor="middle">{escape(t)}</text>'
+        f'<text x="{x:.1f}" y="{HEIGHT - 9}" text-anchor="middle">{escape(t)}</text>'
         for t, x in list(zip(texts, centres))[::step]
     )
 
@@ -65,8 +67,8 @@ def _labels(bins: Sequence[Any], centres: np.ndarray) -> str:
 def _grid(values: np.ndarray) -> str:
     """8x8 squares, the darker the farther from the smallest."""
     spread = np.ptp(values) or 1.0
-    size = (_H - 2 * _TOP) / 8
-    left = (_W - 8 * size) / 2
+    size = (HEIGHT - 2 * _TOP) / 8
+    left = (WIDTH - 8 * size) / 2
     return "".join(
         f'<rect class="fill" x="{left + j * size:.1f}" y="{_TOP + i * size:.1f}" width="{size - 1:.1f}" '
         f'height="{size - 1:.1f}" opacity="{0.08 + 0.92 * (v - values.min()) / spread:.2f}"/>'
@@ -75,9 +77,10 @@ def _grid(values: np.ndarray) -> str:
     )
 
 
-def _svg(title: str, inside: str) -> str:
+def svg(title: str, inside: str) -> str:
+    """A plot that is read out as its title."""
     return (
-        f'<svg viewBox="0 0 {_W} {_H}" role="img" aria-label="{escape(title)}">'
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">'
         f"<title>{escape(title)}</title>{inside}</svg>"
     )
 
@@ -97,14 +100,6 @@ def difference_picture(residual: Any, gain: float) -> np.ndarray:
 def _rgb(residual: Any) -> np.ndarray:
     y, cb, cr = np.moveaxis(np.nan_to_num(np.asarray(residual, np.float64)), -1, 0)
     return np.stack([y + 1.402 * cr, y - 0.344136 * cb - 0.714136 * cr, y + 1.772 * cb], -1)
-
-
-def spectrum_picture(spectrum: Any) -> np.ndarray:
-    """(h, w) energies as grey levels, in logarithms."""
-    level = np.log10(np.maximum(np.nan_to_num(np.asarray(spectrum, float)), 0) + 1e-6)
-    if level.ndim == 3:
-        level = level[..., 0]
-    return (level - level.min()) / max(float(np.ptp(level)), 1e-9)
 
 
 def data_uri(picture: Any, longest: int = 512) -> str:

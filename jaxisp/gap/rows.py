@@ -1,15 +1,17 @@
 """The rows of report.json: the base, a cause, the ranking."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from math import erfc, sqrt
 from typing import Any
 
 import numpy as np
 
+from jaxisp.gap import advice
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial
+from jaxisp.gap.verdict import Found
 from jaxisp.pipeline import Gate
 
 
@@ -51,26 +53,10 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         "closed": trial.closed,
         "ci": [trial.low, trial.high],
         "alternatives": alike,
-        "next_measurement": NEXT.get(trial.effect, "more pairs, of scenes that differ") if alike else None,
+        "next_measurement": advice.between(trial.effect, alike),
         "p_value": _p_value(trial.closed / spread, tried),
         "params": params,
     }
-
-
-NEXT = {
-    "vignetting": "a flat field: a white wall, out of focus",
-    "color_shading": "a flat field under one light",
-    "chroma_denoising": "saturated fine texture, and the file's own sampling factors",
-    "luma_denoising": "low-contrast texture (dead leaves) at a low and a high ISO",
-    "optical_blur": "a slanted edge, with the noise spectrum of a flat patch beside it",
-    "sharpening": "a slanted edge at several contrasts",
-    "local_tone_mapping": "a grey patch on a dark and on a bright surround",
-    "veiling_glare": "a black patch with and without a lamp at the border of the frame",
-    "noise_level": "repeated frames of one still scene",
-    "prnu": "repeated frames of a flat field",
-    "hot_pixels": "repeated dark frames",
-    "heavy_tailed_noise": "repeated dark frames",
-}
 
 
 def _p_value(z: float, tried: int) -> float:
@@ -78,29 +64,42 @@ def _p_value(z: float, tried: int) -> float:
     return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
 
 
-def ranking_rows(
-    causes: Sequence[tuple[Trial, list[str]]],
-    trials: dict[str, Trial],
-    promises: dict[str, float],
-    candidates: Iterable[str],
-    scale: float,
-) -> list[dict[str, Any]]:
+def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
-    possible: it takes pixels no farther away. A candidate that promised nothing, since the base takes it up
-    or the file's header states it, comes last."""
-    accepted = {t.effect: t for t, _ in causes}
-    alike = {name for _, names in causes for name in names}
+    possible: it takes pixels no farther away. Those that were not tried come last.
+
+    Args:
+        found: by the search.
+        apart: by the effects that were not tried, why.
+        scale: the gap above the floor.
+    """
+    accepted = {t.effect: t for t, _ in found.causes}
+    alike = {name: t.effect for t, names in found.causes for name in names}
     rows = []
-    for name, promise in promises.items():
-        trial, promised = accepted.get(name, trials.get(name)), float(promise / scale)
+    for name, promise in found.promises.items():
+        trial, promised = accepted.get(name, found.trials.get(name)), float(promise / scale)
         promised = min(promised, 1.0) if trial is None else promised
-        status = "accepted" if name in accepted else "not_identifiable" if name in alike else "rejected"
-        row = {"effect": name, "closed": promised, "status": status, "predicted": promised}
+        row = {"effect": name, "closed": promised, "status": "rejected", "predicted": promised}
         if trial is not None:
             row |= {"closed": float(trial.closed), "ci": [trial.low, trial.high], "possible": trial.possible}
+        if name in accepted:
+            row["status"] = "accepted"
+        elif name in alike:
+            row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
+        elif name in found.hidden:
+            row |= {"status": "not_identifiable", "reason": HIDDEN}
         rows.append(row)
     rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
     return rows + [
-        {"effect": n, "closed": 0.0, "status": "absorbed"} for n in candidates if n not in promises
+        {"effect": name, "closed": 0.0, "status": "absorbed", "reason": why}
+        for name, why in apart.items()
+        if name not in found.promises
     ]
+
+
+HIDDEN = "these pairs hardly show it, however strong"
+TAKEN_UP = "taken up by the base fit"
+STATED = "the file's header states it"
+NO_HEADER = "without the file's header nothing tells it from the file's own compression"
+"""Why a candidate was not named; any of `ranking`'s reasons."""

@@ -18,6 +18,7 @@ from jaxisp.gap.which import (
     LEADING,
     best,
     foretold,
+    hidden,
     like_the_nearest,
     lookalikes,
     of_form,
@@ -46,6 +47,7 @@ class Terms(NamedTuple):
             be a small part of it.
         again: whether the best of a later step are fitted once more, all columns anew: the base there has
             imitated what was missing.
+        visible: of `hidden`.
     """
 
     least: float
@@ -57,30 +59,45 @@ class Terms(NamedTuple):
     seen: Sequence[str] = ()
     plainly: float = np.inf
     again: bool = False
+    visible: float = 0.0
+
+
+class Searched(NamedTuple):
+    """What a search has found.
+
+    Attributes:
+        causes: the accepted trials with their look-alikes, in order.
+        trials: those of the first step.
+        promises: what each effect promised there.
+        hidden: effects that these pairs cannot show.
+    """
+
+    causes: list[tuple[Trial, list[str]]]
+    trials: dict[str, Trial]
+    promises: dict[str, float]
+    hidden: list[str]
 
 
 def search(
     problem: Measured, names: Sequence[str], split: Split, whole: Whole, terms: Terms, tick: Tick
-) -> tuple[list[tuple[Trial, list[str]]], dict[str, Trial], dict[str, float]]:
+) -> Searched:
     """Forward steps: the best effect is added and fitted, and all others are tried again. Then one back: what
-    the others make up for was only taken for them.
-
-    Returns:
-        the accepted trials with their look-alikes, in order; the trials of the first step; what each effect
-        promised there.
-    """
+    the others make up for was only taken for them."""
     if not (terms.most and names):
-        return [], {}, screen(problem, names, split)
+        promises = screen(problem, names, split)
+        return Searched([], {}, promises, hidden(problem, names, terms.visible))
     start, left = (problem.model, problem.z), list(names)
     causes: list[tuple[Trial, list[str]]] = []
     first_trials: dict[str, Trial] = {}
     first_promises: dict[str, float] = {}
+    unseen: list[str] = []
     views = _views(problem, split)
     for step in range(min(terms.most, len(names))):
         accepted = [t for t, _ in causes]
         trials, promises = _tried(views, left, accepted, split, whole, terms, tick)
         if step == 0:
             first_trials, first_promises = {t.effect: t for t in trials}, promises
+            unseen = hidden(problem, names, terms.visible)
         elif terms.again:
             tick(step, terms.most, "fitting the best anew")
             trials = _again(problem, start[1], trials, split, whole)
@@ -100,7 +117,7 @@ def search(
             names_needed = [t.effect for t in needed]
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
-    return causes, first_trials, first_promises
+    return Searched(causes, first_trials, first_promises, unseen)
 
 
 def _remaining(causes: Sequence[Trial]) -> float:

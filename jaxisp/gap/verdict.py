@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
 from jaxisp.gap.measured import Case, Gap, Measured
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import SMALLEST, Whole
+from jaxisp.gap.refit import SMALLEST, Trial, Whole
 from jaxisp.gap.stepwise import Terms, Tick, search
 from jaxisp.gap.which import LEADING
 
@@ -47,14 +47,21 @@ class Found(NamedTuple):
         promises: what screening predicted, by effect.
         before, after: what shows of the gap without and with the causes.
         refused: where there is no cause, what comes nearest.
+        hidden: effects that these pairs cannot show.
     """
 
     causes: list[Cause]
-    trials: dict[str, Any]
+    trials: dict[str, Trial]
     promises: dict[str, float]
     before: Shown
     after: Shown
     refused: Refused | None = None
+    hidden: Sequence[str] = ()
+
+    @property
+    def nearest(self) -> list[Trial]:
+        """The effects that come nearest where none is accepted."""
+        return [] if self.refused is None else [trial for trial, _ in self.refused.causes]
 
 
 def gap_at(case: Case) -> Gap:
@@ -80,8 +87,10 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     leading = LEADING * (1 - _grain_closes(case, scale, alone))
     part, apart = LEAST_CLOSED[kind], APART[kind] * gap.floor / scale
     plainly, again = NULL_DROP[kind] * gap.floor / scale, kind != RAW_JPEG  # whose columns are taken along
-    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again)
-    steps, trials, promises = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
+    visible = NULL_EXCESS[kind] * gap.floor
+    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again, visible)
+    found = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
+    steps, trials, promises = found.causes, found.trials, found.promises
     refused: Refused | None = None
     for count in range(len(steps), -1, -1):
         _stand_at(problem, start, steps[:count])
@@ -94,9 +103,9 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
         if could and causes and max(t.closed for t, _ in causes) >= LEADING:
             after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
             if accounted(kind, names, before, after, gap, left):
-                return Found(by_closure(causes), trials, promises, before, after)
+                return Found(by_closure(causes), trials, promises, before, after, hidden=found.hidden)
             refused = refused or Refused(by_closure(causes), after, problem.model, problem.z.copy())
-    return Found([], trials, promises, before, before, refused)
+    return Found([], trials, promises, before, before, refused, found.hidden)
 
 
 def _grain_closes(case: Case, scale: float, least: float) -> float:

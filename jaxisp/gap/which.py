@@ -49,6 +49,28 @@ def screen(problem: Measured, names: Sequence[str], split: Split) -> dict[str, f
     }
 
 
+def hidden(problem: Measured, names: Sequence[str], least: float) -> list[str]:
+    """Effects that these pairs cannot show: half of their range changes them by less than `least`, a mean
+    square, beyond what the base imitates. Grey scenes say nothing of saturation.
+
+    Needs the columns of `screen`. Of what is searched for on a grid nothing is said: it has no such change.
+    """
+    order = {i: k for k, i in enumerate(sorted(problem.columns))}
+    gram = problem.normal(list(order))[0].mean(0)
+    base = [order[i] for i in (*problem.model.base_indices, *switched_on(problem))]
+    onto = np.linalg.pinv(gram[np.ix_(base, base)], rcond=1e-9, hermitian=True)
+
+    def change(name: str) -> float:
+        own = problem.model.indices([name])
+        at, reach = [order[i] for i in own], np.abs(problem.model.ranges[:, own] - problem.z[own]).max(0) / 2
+        beyond = np.diag(gram)[at] - np.einsum(
+            "kb,bc,kc->k", gram[np.ix_(at, base)], onto, gram[np.ix_(at, base)]
+        )
+        return float(reach**2 @ beyond)
+
+    return [name for name in names if not searched(problem, [name]) and change(name) < least]
+
+
 class Normal(NamedTuple):
     """Normal equations (N, K, K) and (N, K) of each pair."""
 

@@ -18,6 +18,7 @@ from jaxisp.gap.report import few_pairs, html, sentence, unexplained, write_repo
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic, statistic_words
 from jaxisp.gap.report_params import MEMBERS, parameters_of
 from jaxisp.gap.report_plots import gain_for
+from jaxisp.gap.spectra import spreads
 from jaxisp.gap.statistics import feature_names
 from jaxisp.params import specs
 from jaxisp.pipeline import signature
@@ -79,6 +80,7 @@ REPORT = {
     "seconds": 61.7,
 }
 GREY = np.full((40, 60, 3), 0.5)
+NOISE = np.random.default_rng(0).normal(size=(2, 32, 32, 3))
 PICTURES = {
     "name": "<i>one</i>",
     "target": GREY,
@@ -86,14 +88,14 @@ PICTURES = {
     "after": GREY,
     "residual_before": np.zeros((24, 44, 3)),
     "residual_after": np.zeros((24, 44, 3)),
-    "spectrum_before": np.ones((16, 16)),
+    **{f"spread_{whose}": spreads(NOISE, np.ones(NOISE.shape[:3])) for whose in ("before", "after", "floor")},
 }
 
 
 class Balance(HTMLParser):
     """Fails where a tag is closed that is not open."""
 
-    VOID = ("meta", "link", "img", "rect", "line", "polyline")
+    VOID = ("meta", "link", "img", "rect", "line", "polyline", "path", "circle")
 
     def __init__(self, text):
         super().__init__()
@@ -138,12 +140,12 @@ def test_files(tmp_path):
     assert json.loads((tmp_path / "new" / "report.json").read_text()) == REPORT
     assert sorted(p.name for p in page.parent.iterdir()) == ["report.html", "report.json"]
     text = page.read_text()
-    assert Balance(text).pictures == 6
+    assert Balance(text).pictures == 5
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "url(" not in text and "@import" not in text
     assert (
         "<script>alert" not in text
         and "<i>one" not in text
-        and "<b>" not in re.sub(r"<b>[a-z ]+</b>", "", text)
+        and "<b>" not in re.sub(r"<b>[A-Za-z, ]+</b>", "", text)
     )
     uris = re.findall(r"base64,([^\"]+)", text)
     difference = Image.open(io.BytesIO(base64.b64decode(uris[3])))
@@ -178,7 +180,7 @@ def test_what_it_says():
     assert "white balance 94 %" in text and "taken up by the base fit" in text and "62 s" in text
     assert "19 % of the gap is left. It shows by edge." in text
     assert (
-        text.count("<svg") == 3 and "noise tails 1 %" in text
+        text.count("<svg") == 3 + 4 and "noise tails 1 %" in text
     )  # an axis that is not clear is listed, not drawn
 
 
@@ -284,11 +286,12 @@ def test_statistics_have_names():
 
 
 def test_statistics_that_differ_most_are_drawn_about_a_middle():
-    text = shown(changed(kind="clean+noisy", where=[STATISTIC]))
+    text = shown(changed(kind="clean+noisy", where=[STATISTIC]), {"name": "x"})
     Balance(text)
+    assert "<svg" not in text
     assert "share of coarse Cb DCT coefficients near 0" in text and "step of luma into column 2 of 8" in text
     assert "traces of JPEG compression" in text and "2 more within ±0.5" in text
-    assert "comb Cb0" not in text and "harmless or chance" not in text and "<svg" not in text
+    assert "comb Cb0" not in text and "harmless or chance" not in text
     assert "&lt;b&gt;own&lt;/b&gt;" in text
     bars = re.findall(r"left:([\d.]+)%;width:([\d.]+)%", text.split("<h2>Where")[1].split("<h2>Which")[0])
     assert bars[:3] == [("0.0", "50.0"), ("50", "25.0"), ("50", "12.12")] and len(bars) == 6
@@ -342,6 +345,78 @@ def test_bars_are_to_scale():
         1 / 17.6, abs=1e-3
     )
     assert ranking == [81.2, 31, 10, 0]
+
+
+def test_what_was_predicted_stands_beside_what_was_realised():
+    ranking = copy.deepcopy(REPORT["ranking"])
+    ranking[0] |= {"predicted": 1.6, "ci": [0.7, 0.9]}  # the longest: all bars are a share of it
+    ranking[1] |= {"predicted": -0.3}
+    text = shown(changed(ranking=ranking))
+    Balance(text)
+    marks = re.findall(r'class="mark" style="left:([\d.]+)%"', text)
+    assert list(map(float, marks)) == [100, 0], "only of what was refitted"
+    assert "predicted 160 %" in text and "predicted -30 %" in text and "predicted 10 %" not in text
+    assert 'style="width:50.75%' in text
+    plain = shown(REPORT)
+    assert 'class="mark' not in plain and "what was predicted before" not in plain
+
+
+def test_why_a_candidate_was_not_tried_is_said():
+    ranking = copy.deepcopy(REPORT["ranking"])
+    ranking[1] |= {"status": "not_identifiable", "reason": "looks the same as <i>chroma_denoising</i>"}
+    ranking[3] |= {"reason": "the file's header states it"}
+    text = shown(changed(ranking=ranking))
+    assert (
+        "looks the same as &lt;i&gt;chroma denoising&lt;/i&gt;" in text
+        and "the file&#39;s header states it" in text
+    )
+    assert "taken up by the base fit" not in text and "cannot be told apart" not in text
+
+
+def test_what_would_show_the_rest_is_said():
+    left = REPORT["unexplained"] | {"next_measurement": "a flat field"}
+    text = shown(changed(unexplained=left, verdict="unknown", causes=[]))
+    assert "<h2>What to measure next</h2>" in text and "To see alone what is left: a flat field." in text
+    alike = CAUSE | {"alternatives": ["color_shading"], "next_measurement": "a lamp"}
+    both = shown(changed(unexplained=left, causes=[alike]))
+    assert both.index("from colour shading: a lamp.") < both.index("what is left: a flat field.")
+    for absent in (REPORT["unexplained"], REPORT["unexplained"] | {"next_measurement": None}):
+        assert "What to measure next" not in shown(changed(unexplained=absent))
+
+
+def test_what_a_flexible_model_reaches_is_a_bar():
+    found = {"best": 2.2, "explained": 0.93, "how": "a free curve and filter"}
+    text = shown(changed(gap=REPORT["gap"] | {"reducible": found}))
+    assert re.findall(r'<span class="name">(\w+(?: model)?)</span>', text)[:4] == [
+        "before",
+        "after",
+        "flexible model",
+        "floor",
+    ]
+    widths = [float(w) for w in re.findall(r'class="bar [a-z_ ]+" style="width:([\d.]+)%', text)]
+    assert widths[2] / widths[0] == pytest.approx(2.2 / 17.6, abs=1e-3)
+    said = "Of what our flexible models could reduce (lowest: a free curve and filter), the named effects are"
+    assert f"{said} 93 %." in text
+    unnamed = found | {"explained": None}
+    for other in (changed(gap=REPORT["gap"] | {"reducible": unnamed}), changed(causes=[], verdict="unknown")):
+        other["gap"]["reducible"] = unnamed
+        assert "A flexible model (a free curve and filter) gets to 2.2." in shown(other)
+    worse = shown(changed(gap=REPORT["gap"] | {"reducible": found | {"best": 4.2, "explained": 1.0}}))
+    assert "No flexible model of ours gets lower." in worse and ">flexible model<" not in worse
+    for absent in ({}, {"reducible": None}):
+        assert "flexible" not in shown(changed(gap=REPORT["gap"] | absent))
+
+
+@pytest.mark.parametrize("kind", ["raw+jpeg", "clean+noisy"])
+def test_the_interval_of_an_axis_is_shown(kind):
+    axis = STATISTIC if kind == "clean+noisy" else REPORT["where"][0] | {"share": 0.6}
+    text = shown(changed(kind=kind, where=[axis | {"ci": [0.45, 0.72]}]))
+    Balance(text)
+    assert "60 % [45, 72]" in text
+    assert 'style="width:60.0%"></span><span class="range" style="left:45.0%;width:27.0%"' in text
+    for absent in ({}, {"ci": None}, {"ci": [None, 0.7]}):
+        plain = shown(changed(kind=kind, where=[axis | absent]))
+        assert "60 % (p" in plain and 'class="share"' not in plain
 
 
 def test_folder_that_cannot_be_written(tmp_path):

@@ -2,14 +2,20 @@
 
 import numpy as np
 
+from jaxisp.gap.account import Shown
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.rows import ranking_rows
+from jaxisp.gap.rows import HIDDEN, STATED, TAKEN_UP, ranking_rows
+from jaxisp.gap.verdict import Found
+
+
+def found(promises, trials=None, causes=(), hidden=()):
+    return Found(list(causes), trials or {}, promises, Shown(1.0, []), Shown(1.0, []), hidden=hidden)
 
 
 def test_a_line_promises_the_whole_at_most_and_a_step_what_was_measured():
     tried = Trial("sharpening", np.zeros(1), 11.0, -1.0, 1.2, 1.1, 1.3, 0.05)
     promises = {"sharpening": 11.5, "prnu": 25.0, "vignetting": -1.0}
-    rows = ranking_rows([], {"sharpening": tried}, promises, {"tone_curve": 0.0}, 10.0)
+    rows = ranking_rows(found(promises, {"sharpening": tried}), {"tone_curve": TAKEN_UP}, 10.0)
     assert {row["effect"]: row.get("predicted") for row in rows} == {
         "sharpening": 1.15, "prnu": 1.0, "vignetting": -0.1, "tone_curve": None,
     }  # fmt: skip
@@ -17,3 +23,20 @@ def test_a_line_promises_the_whole_at_most_and_a_step_what_was_measured():
         "sharpening": 1.2, "prnu": 1.0, "vignetting": -0.1, "tone_curve": 0.0,
     }  # fmt: skip
     assert [row["status"] for row in rows] == ["rejected"] * 3 + ["absorbed"]
+
+
+def test_what_was_not_named_says_why():
+    cause = Trial("color_matrix", np.zeros(1), 11.0, 1.0, 1.0, 0.9, 1.1, 0.05)
+    promises = dict.fromkeys(("color_matrix", "saturation", "color_lut", "prnu"), 0.5)
+    apart = {"tone_curve": TAKEN_UP, "jpeg_quantization": STATED, "prnu": STATED}
+    rows = ranking_rows(
+        found(promises, {}, [(cause, ["saturation"])], ["color_lut", "saturation"]), apart, 10.0
+    )
+    assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
+        "color_matrix": ("accepted", None),
+        "saturation": ("not_identifiable", "looks the same as color_matrix"),
+        "color_lut": ("not_identifiable", HIDDEN),
+        "prnu": ("rejected", None),  # it was tried
+        "tone_curve": ("absorbed", TAKEN_UP),
+        "jpeg_quantization": ("absorbed", STATED),
+    }

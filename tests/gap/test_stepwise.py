@@ -44,10 +44,11 @@ def searched(monkeypatch, closes, terms, beside=("prnu",)):
     monkeypatch.setattr(stepwise, "foretold", lambda problem, name, split: closes[name][0])
     monkeypatch.setattr(stepwise, "refit", refit)
     monkeypatch.setattr(stepwise, "_needed", lambda *a: a[2])
+    monkeypatch.setattr(stepwise, "hidden", lambda problem, names, least: [])
     whole = Whole(10.0, np.ones((1, 1)))
     closes = closes | dict.fromkeys(beside, (0.0, 0.0))
-    causes, *_ = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
-    return [t.effect for t, _ in causes], asked
+    found = search(Problem(), list(closes), Split((0,), (1,)), whole, terms, lambda *tick: None)
+    return [t.effect for t, _ in found.causes], asked
 
 
 def test_a_second_effect_is_measured_by_what_the_first_leaves(monkeypatch):
@@ -99,8 +100,9 @@ def test_the_two_best_of_a_later_step_are_fitted_anew_from_both_bases(monkeypatc
 def test_nothing_to_try_finds_nothing(monkeypatch):
     monkeypatch.setattr(stepwise, "screen", lambda problem, names, split: {n: 1.0 for n in names})
     whole = Whole(10.0, np.ones((1, 1)))
+    monkeypatch.setattr(stepwise, "hidden", lambda problem, names, least: [])
     found = search(Problem(), [], Split((0,), (1,)), whole, Terms(0.05, 3), lambda *tick: None)
-    assert found == ([], {}, {})
+    assert found == ([], {}, {}, [])
 
 
 def test_all_that_is_tried_may_be_found(monkeypatch):
@@ -149,7 +151,8 @@ def test_what_the_base_imitates_is_looked_for_beside_its_rival(monkeypatch):
     monkeypatch.setattr(stepwise, "fit", lambda *arguments, **options: None)
     problem, whole = Imitating(), Whole(10.0, np.ones((1, 1)))
     terms = Terms(0.05, 3, enough=1.0)
-    causes, _, promised = search(problem, names, Split((0,), (1,)), whole, terms, lambda *tick: None)
+    monkeypatch.setattr(stepwise, "hidden", lambda problem, names, least: [])
+    causes, _, promised, _ = search(problem, names, Split((0,), (1,)), whole, terms, lambda *tick: None)
     assert [trial.effect for trial, _ in causes] == ["chroma_denoising"] and problem.has == "square roots"
     assert promised == pytest.approx({"chroma_denoising": 6.75, "vignetting": 0.25})
 

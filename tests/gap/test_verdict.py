@@ -7,6 +7,7 @@ from jaxisp.gap import verdict
 from jaxisp.gap.account import Shown
 from jaxisp.gap.measured import Case, Gap, Split
 from jaxisp.gap.refit import Trial, Whole
+from jaxisp.gap.stepwise import Searched
 from jaxisp.gap.verdict import by_closure, searched
 
 
@@ -44,7 +45,7 @@ def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
         assert names == ["first", "second"][: int(after.error)]
         return after.error <= holding
 
-    monkeypatch.setattr(verdict, "search", lambda problem, *rest: (STEPS, {}, {}))
+    monkeypatch.setattr(verdict, "search", lambda problem, *rest: Searched(STEPS, {}, {}, []))
     monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(float(problem.z[0]), []))
     monkeypatch.setattr(verdict, "whole_of", lambda case, size: Whole(size, np.ones((1, 1))))
     monkeypatch.setattr(verdict, "accounted", account)
@@ -62,7 +63,7 @@ def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
 
 
 def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
-    monkeypatch.setattr(verdict, "search", lambda problem, *rest: (STEPS, {}, {}))
+    monkeypatch.setattr(verdict, "search", lambda problem, *rest: Searched(STEPS, {}, {}, []))
     monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(0.0, []))
     monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
     case = Case("clean+noisy", Problem(), Split((0,), (1,)), np.ones(2), {}, [])

@@ -1,6 +1,7 @@
 """What counts as not told apart from the effect that is named."""
 
 import dataclasses
+import types
 from typing import ClassVar
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from jaxisp.gap.measured import Split
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import best, foretold, like_the_nearest, lookalikes, of_form
+from jaxisp.gap.which import best, foretold, hidden, like_the_nearest, lookalikes, of_form
 
 
 def trial(effect, closed, low, high):
@@ -74,12 +75,13 @@ def test_what_brings_pixels_nearer_by_far_comes_first_where_it_could_lead():
 
 
 def test_a_small_share_of_a_large_gap_is_accepted_where_pixels_show_the_effect():
-    blur = dataclasses.replace(trial("motion_blur", 0.04, 0.03, 0.05), plainly=0.02)
-    assert not blur.accepted  # less than 5 %, and pixels say nothing
+    blur = dataclasses.replace(trial("motion_blur", 0.08, 0.07, 0.09), least=0.12, plainly=0.02)
+    assert not blur.accepted  # too little of what is left, and pixels say nothing
     assert dataclasses.replace(blur, farther=-0.25).accepted
     assert dataclasses.replace(blur, farther=-0.1, cleared=0.6).accepted
     assert not dataclasses.replace(blur, farther=-0.1, cleared=0.4).accepted
-    assert not dataclasses.replace(blur, farther=-0.25, low=0.01).accepted
+    assert not dataclasses.replace(blur, farther=-0.25, low=0.04).accepted  # never less than 5 % of the gap
+    assert not dataclasses.replace(blur, farther=-0.25, plainly=0.08).accepted
     assert not dataclasses.replace(blur, farther=-0.25, plainly=np.inf).accepted
 
 
@@ -161,3 +163,31 @@ def test_a_step_that_helps_nowhere_promises_nothing():
     curved.moved = lambda z: -abs(z)
     curved.normal = lambda which: (np.ones((2, 1, 1)), Curved.REAL[:, None])
     assert foretold(curved, "prnu", Split((0,), (1,))) == 0.0
+
+
+class Linear:
+    """Columns (N, P) of a base's number, and of one each of three effects; `sharpening` may move by 2."""
+
+    NAMES = ("saturation", "sharpening", "double_compression")
+
+    def __init__(self, *columns):
+        self.columns, self.z = dict(enumerate(columns)), np.zeros(4)
+        grids = [(), (), (), (-1.0,)]
+        self.model = types.SimpleNamespace(
+            base=[0], base_indices=[0], ranges=np.array([[-1.0, -2, 0, -1], [1, 1, 2, 0]]),
+            indices=lambda names: [1 + self.NAMES.index(name) for name in names],
+            coordinates=[types.SimpleNamespace(move=types.SimpleNamespace(grid=grid)) for grid in grids],
+        )  # fmt: skip
+
+    def normal(self, which):
+        stacked = np.stack([self.columns[i] for i in which], 1)
+        return np.einsum("nkp,nlp->nkl", stacked, stacked) / stacked.shape[-1], None
+
+
+def test_pairs_cannot_show_what_hardly_changes_them_beyond_what_the_base_imitates():
+    base, own = np.array([[1.0, 1, 0, 0]]), np.array([[0.0, 0, 2, 0]])
+    # half of the range, one, makes a mean square of one in the first, of none beyond the base in the second
+    problem = Linear(base, own, 3 * base + 0.01 * own, 0 * base)
+    assert hidden(problem, Linear.NAMES, 0.9) == ["sharpening"]
+    assert hidden(problem, Linear.NAMES, 1.1) == ["saturation", "sharpening"]
+    assert hidden(problem, Linear.NAMES, 0.00001) == []

@@ -1,0 +1,64 @@
+"""How far the gap could be lowered at all, on errors whose cause is known."""
+
+import types
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.ndimage import laplace
+
+from jaxisp.gap import ceiling
+from jaxisp.gap.measured import Gap, Split
+from jaxisp.gap.residual import Pairs, Problem
+
+
+class Still:
+    """A simulator without parameters: its picture is the light in grey."""
+
+    coordinates = effects = base_indices = ()
+
+    def render(self, z, light):
+        return np.repeat(np.asarray(light)[..., None], 3, -1)
+
+    def take(self, which):
+        return self
+
+
+def off_by(error, n=4, side=96):
+    """Pairs of a smooth picture and the same with this error (N, H, W) in 8-bit steps of luma."""
+    rng = np.random.default_rng(3)
+    light = rng.uniform(0.3, 0.6, (n, side, side)).astype(np.float32)
+    pictures = np.repeat((light + error(light, rng) / 255)[..., None], 3, -1).astype(np.float32)
+    names = tuple(f"scene{i}" for i in range(n))
+    return Problem(Still(), Pairs(names, jnp.asarray(light), pictures, np.ones(light.shape, bool)))
+
+
+def left(error):
+    """What the network leaves of the held-out gap."""
+    problem, split = off_by(error), Split((0, 2), (1, 3))
+    before = float(problem.take(split.held_out).units(problem.z).mean())
+    return ceiling._network_leaves(problem, split) / before
+
+
+def test_a_network_predicts_what_the_picture_tells_and_no_noise():
+    assert left(lambda light, rng: 20 * laplace(light, axes=(1, 2))) < 0.05  # too much sharpening
+    assert left(lambda light, rng: 3 * np.indices(light.shape)[1] % 2) < 0.05  # every second row
+    assert left(lambda light, rng: 3 * rng.standard_normal(light.shape)) > 0.95
+
+
+CASE = types.SimpleNamespace(problem=None, split=None, offered=())
+
+
+@pytest.mark.parametrize(("after", "share", "how"), [
+    (2.0, 8 / 9, "effects that are not believed"), (1.0, 1.0, "the named effects"),
+    (10.0, 0.0, "effects that are not believed"),
+])  # fmt: skip
+def test_what_is_named_is_a_share_of_what_flexible_models_close(after, share, how):
+    found = ceiling.reducible(CASE, Gap(10.0, 1.0), after, [3.0, 1.0], 0.1)
+    assert found == {"best": 1.0, "how": how, "explained": pytest.approx(share)}
+
+
+def test_where_nothing_can_be_lowered_no_share_is_said():
+    found = ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [9.95], 0.1)
+    assert found["best"] == 9.95 and found["explained"] is None
+    assert ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [], 0.1)["best"] == 10.0
