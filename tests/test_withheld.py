@@ -249,6 +249,10 @@ def test_tables_count_what_was_said() -> None:
         "| both found | 50% " in text and text.count("(1/1) |") == 2
     )  # the other's effect is not known alone
     assert "| both found | 50% [9%, 91%] (1/2) | 50% " in markdown([both, one, *alone])
+    near = {"effects": ["luma_denoising"], "closed": 0.5, "axes": ["lag"]}
+    unknown = record("prnu", report("unknown") | {"unexplained": {"axes": [], "nearest": near}})
+    text = markdown([unknown, record("vignetting", report("effect", "prnu"))])
+    assert "| luma_denoising would close 0.50 and leave 2 on lag |" in text and "| prnu closes " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3
 

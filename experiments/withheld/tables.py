@@ -185,11 +185,26 @@ def missed(records: list[Record]) -> str:
     wrong = [r for r in records if not group_right(r) and plain_to_see(r)]
     wrong = sorted(wrong, key=lambda r: (-r["effects"][0][1], r["case"]))
     rows = [
-        [r["case"], r["verdict"], ", ".join(r["causes"]), ", ".join(r["ranking"][:3]), gap_of(r)]
+        [r["case"], r["verdict"], ", ".join(r["causes"]), ", ".join(r["ranking"][:3]), gap_of(r), why(r)]
         for r in wrong
     ]
-    head = ["case", "verdict", "causes", "ranking", "gap (floor)"]
+    head = ["case", "verdict", "causes", "ranking", "gap (floor)", "why"]
     return "### Missed, of those plain to see\n\n" + table(head, rows)
+
+
+def why(record: Record) -> str:
+    """What the diagnosis itself says of a verdict that is not right."""
+    gap, near = record["gap"], record.get("unexplained", {}).get("nearest")
+    if record["causes"]:
+        first = record["causes"][0]
+        return f"{first} closes {record['closed'][first]:.2f}"
+    if record["verdict"] == "none":
+        return "what is left counts as nothing"
+    if near is None:
+        return "no effect closes enough to lead"
+    left = gap["before"] - near["closed"] * (gap["before"] - gap["floor"])
+    on = f" on {', '.join(near['axes'])}" if near["axes"] else ""
+    return f"{' and '.join(near['effects'])} would close {near['closed']:.2f} and leave {left:.2g}{on}"
 
 
 def nulls_section(records: list[Record]) -> str:

@@ -132,7 +132,8 @@ def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict
     after = found.causes[-1][0].after if found.causes else gap.before
     apart = dict.fromkeys(problem.model.effects, STATED) | {"double_compression": NO_HEADER}
     apart |= dict.fromkeys(case.absorbed, TAKEN_UP)
-    causes = [cause_row(t, alike, len(case.offered), problem.model) for t, alike in found.causes]
+    tried = len(case.offered) + (case.stored is not None)  # and film grain
+    causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
     reached = {}
     if there:
         tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
