@@ -95,6 +95,7 @@ def test_what_is_outside_the_vocabulary_is_unknown(diagnosed):
     assert "edge" in report["unexplained"]["next_measurement"]
 
 
+@pytest.mark.slow
 def test_grey_scenes_are_said_to_show_no_colour(diagnosed, tmp_path):
     smooth = {name: gaussian_filter(s.mean(-1), 4) for name, s in scenes("one", 128, 6).items()}
     grey = {name: np.repeat(s[..., None], 3, -1) for name, s in smooth.items()}  # detail has false colours
