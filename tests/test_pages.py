@@ -14,7 +14,7 @@ from jaxisp.recipes import RECIPES
 from jaxisp.report import Page
 from tests.browser import CHROMIUM, Browser
 from tests.conftest import smooth_image
-from tests.gap.test_report import PICTURES, REPORT
+from tests.gap.page import PICTURES, REPORT
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 

@@ -1,0 +1,63 @@
+"""What axes, statistics and parameters are called on the page of a diagnosis."""
+
+import re
+
+import numpy as np
+import pytest
+
+from jaxisp.gap import EFFECTS
+from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic, statistic_words
+from jaxisp.gap.report_params import MEMBERS, parameters_of
+from jaxisp.gap.statistics import feature_names
+from jaxisp.params import specs
+from jaxisp.pipeline import signature
+from tests.gap.page import CAUSE, REPORT, STATISTIC, Balance, changed, shown
+
+
+def test_statistics_have_names():
+    known = statistic_words()
+    assert set(feature_names()) <= set(known) and len(set(known.values())) == len(known)
+    assert {name.split()[1] for name in feature_names()} <= set(STATISTICS) == set(PIXELS)
+    assert statistic("intensity", "logvar Cb2") == "Cb noise at luma 60"
+    assert statistic("intensity", "code dark04") == "RAW values in 44 even levels, in the dark"
+    assert statistic("row", "something else") == "something else"
+
+
+def test_statistics_that_differ_most_are_drawn_about_a_middle():
+    text = shown(changed(kind="clean+noisy", where=[STATISTIC]), {"name": "x"})
+    Balance(text)
+    assert "<svg" not in text
+    assert "share of coarse Cb DCT coefficients near 0" in text and "step of luma into column 2 of 8" in text
+    assert "traces of JPEG compression" in text and "2 more within ±0.5" in text
+    assert "comb Cb0" not in text and "harmless or chance" not in text
+    assert "&lt;b&gt;own&lt;/b&gt;" in text
+    bars = re.findall(r"left:([\d.]+)%;width:([\d.]+)%", text.split("<h2>Where")[1].split("<h2>Which")[0])
+    assert bars[:3] == [("0.0", "50.0"), ("50", "25.0"), ("50", "12.12")] and len(bars) == 6
+
+
+def test_the_axes_of_pixels_say_what_they_run_over():
+    text = shown(changed(where=[REPORT["where"][0] | {"channel": "Cb", "unit": "mean, steps"}]))
+    assert "from the middle (0) to the corners (1); up: Cb, mean, steps" in text
+
+
+@pytest.mark.parametrize("effect", [name for name, e in EFFECTS.items() if any(m.index for m in e.moves)])
+def test_members_of_families_have_names(effect):
+    declared = specs(signature(next(EFFECTS[effect].node.stages()).fn).params)
+    for field in {m.field for m in EFFECTS[effect].moves if m.index}:
+        assert len(set(MEMBERS[effect, field])) == np.size(declared[field].default)
+
+
+def test_parameters_are_named_and_none_is_zero():
+    shares = {f"shares[{i}]": v for i, v in enumerate((0.65, 0.0, -0.2, 0.01, 0.3))}
+    line = "shares: Gaussian (1 px) 0.65, median 3x3 -0.2, bilateral (2 px, 0.05 of white) 0.3"
+    assert parameters_of({"effect": "chroma_denoising", "params": shares}) == [line]
+    assert line in shown(changed(causes=[CAUSE | {"effect": "chroma_denoising", "params": shares}]))
+    matrix = {f"matrix[{i}][{j}]": float(i == j) for i in range(3) for j in range(3)} | {"matrix[0][1]": -0.4}
+    assert parameters_of({"effect": "color_matrix", "params": matrix}) == ["matrix: red from green -0.4"]
+    gains = {"gains[0]": 1.12, "gains[2]": 0.9}
+    assert parameters_of({"effect": "white_balance", "params": gains}) == ["gains: red 1.12, blue 0.9"]
+    table = {f"hue[{i}]": 0.1 * i for i in range(10)}
+    assert parameters_of({"effect": "color_lut", "params": table})[0].endswith("202° 0.9 rad; 3 smaller")
+    assert parameters_of(CAUSE) == ["a2 -0.412 EV (coefficient of r**2; negative darkens the corners)"]
+    own = {"effect": "of a user's", "params": {"amounts[1]": 0.5, "form": "round"}}
+    assert parameters_of(own) == ["amounts: [1] 0.5", "form round"]
