@@ -26,6 +26,7 @@ from experiments.withheld.study import kept
 from jaxisp.errors import InputError, one_line
 from jaxisp.gap import Downstream, diagnose
 from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.report import plain
 from jaxisp.io.files import atomic_write
 
 Record = dict[str, Any]
@@ -74,8 +75,7 @@ def figures(report: Record) -> Record:
     }
     if "downstream" in report:
         found["downstream"] = report["downstream"]
-    text = json.dumps(found, default=lambda value: value.tolist())
-    return json.loads(text, parse_constant=lambda name: None)  # NaN is not JSON
+    return dict(plain(found))
 
 
 def examine(name: str, data: Path, downstream: bool) -> Record:

@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.withheld.tables import table
+from experiments.withheld.tables import left_by, table
+from jaxisp.gap.report import reached
 from jaxisp.gap.report_words import any_of, finite, listed, number, words
 
 Record = Mapping[str, Any]
@@ -47,7 +48,7 @@ def after(record: Record) -> tuple[float, list[str]]:
     gap, near = record["gap"], nearest(record)
     if near is None:
         return gap["after"], record["causes"]
-    return gap["before"] - near["closed"] * (gap["before"] - gap["floor"]), near["effects"]
+    return left_by(near, gap), near["effects"]
 
 
 def alike(record: Record, cause: str) -> list[str]:
@@ -115,18 +116,11 @@ def claim(record: Record) -> str:
     if not added:
         none = "so near the floor that nothing is missing"
         text += f"; {none if record['verdict'] == 'none' else 'no effect comes near it'}"
-    text += f". {reducible(gap['reducible'])}" if gap.get("reducible") else ""
+    if said := reached(gap, bool(record["causes"])):
+        text += f". {said.removesuffix('.')}"
     if following := record["unexplained"].get("next_measurement"):
         text += f". What could tell more: {following}"
     return f"{text}."
-
-
-def reducible(found: Record) -> str:
-    """How the named effects compare with flexible models."""
-    how = f" ({found['how']})" if found.get("how") else ""
-    text = f"The lowest gap that a flexible model reached{how} is {number(found['best'])}"
-    named = found.get("explained")
-    return f"{text}; the named effects are {named:.0%} of what it closes" if finite(named) else text
 
 
 def denoisers(record: Record) -> str:

@@ -161,8 +161,8 @@ def test_the_page_says_the_figures(data: Path, fake: Diagnose, tmp_path: Path) -
     )
     axes = "on these axes: row, colour filter phase and noise correlation"
     for said in (
-        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. The lowest gap "
-        "that a flexible model reached (retrained) is 9.5; the named effects are 90% of what it closes. What "
+        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. Of what our "
+        "flexible models could reduce (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. What "
         "could tell more: a slanted edge.\n",
         "A gap of 21, 11 after adding double compression, which comes nearest and does not account for it, "
         f"floor 1, {axes}.\n",

@@ -8,7 +8,7 @@ Several files may be given; a case in more than one of them counts as the last h
 import argparse
 import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -202,9 +202,14 @@ def why(record: Record) -> str:
         return "what is left counts as nothing"
     if near is None:
         return "no effect closes enough to lead"
-    left = gap["before"] - near["closed"] * (gap["before"] - gap["floor"])
     on = f" on {', '.join(near['axes'])}" if near["axes"] else ""
-    return f"{' and '.join(near['effects'])} would close {near['closed']:.2f} and leave {left:.2g}{on}"
+    left = f"{left_by(near, gap):.2g}{on}"
+    return f"{' and '.join(near['effects'])} would close {near['closed']:.2f} and leave {left}"
+
+
+def left_by(near: Mapping[str, Any], gap: Mapping[str, Any]) -> float:
+    """The gap that what comes nearest would leave."""
+    return float(gap["before"] - near["closed"] * (gap["before"] - gap["floor"]))
 
 
 def nulls_section(records: list[Record]) -> str:

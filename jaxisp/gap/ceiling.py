@@ -16,10 +16,13 @@ import optax
 from flax import nnx
 from scipy.ndimage import gaussian_filter
 
+from jaxisp.gap.learning import programs
 from jaxisp.gap.measured import Case, Gap, Split
 from jaxisp.gap.refit import searched
 from jaxisp.gap.residual import Problem
 from jaxisp.gap.solve import fit
+from jaxisp.models.layers import conv
+from jaxisp.train.step import split_model
 
 _WIDTH, _DEPTH = 24, 4
 _STEPS, _BATCH, _PATCH = 300, 8, 48
@@ -65,8 +68,8 @@ class _Network(nnx.Module):
 
     def __init__(self, channels: int, rngs: nnx.Rngs) -> None:
         widths = [channels, *[_WIDTH] * (_DEPTH - 1)]
-        self.hidden = nnx.List([nnx.Conv(a, b, (3, 3), rngs=rngs) for a, b in itertools.pairwise(widths)])
-        self.last = nnx.Conv(_WIDTH, 3, (3, 3), kernel_init=nnx.initializers.zeros_init(), rngs=rngs)
+        self.hidden = nnx.List([conv(a, b, rngs=rngs, dtype=None) for a, b in itertools.pairwise(widths)])
+        self.last = conv(_WIDTH, 3, init=nnx.initializers.zeros_init(), rngs=rngs, dtype=None)
 
     def __call__(self, x: jax.Array) -> jax.Array:
         for layer in self.hidden:
@@ -119,16 +122,10 @@ def _learnt(seen: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[A
 @functools.cache
 def _program(channels: int) -> tuple[Any, Any, Any, optax.GradientTransformation]:
     """First parameters, the update and the network, jitted, and the optimizer."""
-    graph, start = nnx.split(_Network(channels, nnx.Rngs(0)))
+    graph, start, _ = split_model(_Network(channels, nnx.Rngs(0)), train=True)
     optimizer = optax.adam(optax.cosine_decay_schedule(3e-3, _STEPS))
+    return start, *programs(graph, optimizer, _loss), optimizer
 
-    def loss(params: Any, seen: jax.Array, wanted: jax.Array, weight: jax.Array) -> jax.Array:
-        return (weight * (nnx.merge(graph, params)(seen) - wanted) ** 2).mean()
 
-    @functools.partial(jax.jit, donate_argnums=(0, 1))
-    def update(params: Any, state: Any, *batch: jax.Array) -> tuple[Any, Any]:
-        gradient = jax.grad(loss)(params, *batch)
-        changes, state = optimizer.update(gradient, state, params)
-        return optax.apply_updates(params, changes), state
-
-    return start, update, jax.jit(lambda params, seen: nnx.merge(graph, params)(seen)), optimizer
+def _loss(made: jax.Array, wanted: jax.Array, weight: jax.Array) -> jax.Array:
+    return (weight * (made - wanted) ** 2).mean()

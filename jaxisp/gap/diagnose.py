@@ -307,7 +307,7 @@ def _unexplained(found: Found, after: float, gap: Gap, there: bool) -> dict[str,
     share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.where)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(axes)}" if axes else "")
     wanted = axes if found.causes else _left(found.before.where)
-    next_one = advice.about(wanted) if there and share > _LITTLE else None
+    next_one = advice.about(wanted) if there and share >= advice.CONSIDERABLE else None
     row = {"share": share, "axes": axes, "description": text, "next_measurement": next_one}
     if found.refused is None:
         return row
@@ -315,10 +315,6 @@ def _unexplained(found: Found, after: float, gap: Gap, there: bool) -> dict[str,
     closed = float((gap.before - causes[-1][0].after) / gap.scale)
     nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.where)}
     return row | {"nearest": nearest}
-
-
-_LITTLE = 0.15
-"""The share of the gap that needs no measurement more."""
 
 
 def _left(rows: Rows) -> list[str]:

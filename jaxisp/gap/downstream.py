@@ -17,6 +17,7 @@ import numpy as np
 import optax
 from flax import nnx
 
+from jaxisp.gap.learning import programs
 from jaxisp.gap.measured import Case, Downstream
 from jaxisp.gap.model import Model
 from jaxisp.gap.prepare import TILES
@@ -172,18 +173,7 @@ def _program(steps: int) -> tuple[Any, Any, optax.GradientTransformation]:
     config = TrainConfig(clean=(), recipe="", steps=steps, lr=2e-3, warmup=min(50, steps), clip_norm=1.0)
     optimizer = make_optimizer(config, steps)
     graph, _, _ = split_model(_network(0), train=True)
-
-    def loss(params: Any, noisy: jax.Array, clean: jax.Array) -> jax.Array:
-        return jnp.abs(nnx.merge(graph, params, {})(noisy) - clean).mean()
-
-    @functools.partial(jax.jit, donate_argnums=(0, 1))
-    def update(params: Any, state: Any, noisy: jax.Array, clean: jax.Array) -> tuple[Any, Any]:
-        gradient = jax.grad(loss)(params, noisy, clean)
-        changes, state = optimizer.update(gradient, state, params)
-        return optax.apply_updates(params, changes), state
-
-    apply = jax.jit(lambda params, noisy: nnx.merge(graph, params, {})(noisy))
-    return update, apply, optimizer
+    return *programs(graph, optimizer, lambda made, clean: jnp.abs(made - clean).mean()), optimizer
 
 
 def _measured(task: _Task, steps: int, seed: int) -> list[float]:

@@ -25,8 +25,8 @@ Above = dict[str, np.ndarray]
 def located(
     difference: np.ndarray,
     weights: np.ndarray,
-    apart: np.ndarray | None = None,
-    scenes: Sequence[str] = (),
+    apart: np.ndarray,
+    scenes: Sequence[str],
 ) -> list[dict[str, Any]]:
     """The axes by their share of what the gap has above what is harmless and chance.
 
@@ -38,7 +38,7 @@ def located(
 
     Returns:
         as `where` does, largest share first; `ci` is [low, high], the 90 % interval of the share over draws
-        of the scenes, units left as they are, or None of one scene, and without `apart`.
+        of the scenes, units left as they are, or None of one scene.
     """
     names = feature_names()
     axes = np.array([axis_of(name) for name in names])
@@ -46,7 +46,7 @@ def located(
     shares = _shares(_above(difference**2 - weights, weights))
     draws = Draws.of(scenes)
     ci: dict[str, list[float] | None] = dict.fromkeys(shares)
-    if draws is not None and apart is not None:
+    if draws is not None:
         drawn = _shares(_above(_excess(difference, apart, draws, weights), weights))
         ci = _intervals(draws, shares, drawn)
     found = [
@@ -70,8 +70,8 @@ def credited(
     difference: np.ndarray,
     without: np.ndarray,
     weights: np.ndarray,
-    apart: Sequence[np.ndarray] = (),
-    scenes: Sequence[str] = (),
+    apart: Sequence[np.ndarray],
+    scenes: Sequence[str],
 ) -> Rows:
     """The rows of `located`, with what other axes only have of things that stand in one place as that one's.
 

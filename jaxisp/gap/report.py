@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from jaxisp.gap.advice import CONSIDERABLE
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report_downstream import downstream_part
 from jaxisp.gap.report_params import parameters_of
@@ -25,7 +26,6 @@ _ENVIRONMENT = jinja2.Environment(
 _PLOTS, _BARS = 6, 8
 _WHEN = ("before", "after")
 _CLEAR = 0.05  # axes whose p-value is above are only listed
-_CONSIDERABLE = 0.15  # of the gap: what is left is said with the verdict
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
 _SITES = {
@@ -36,12 +36,6 @@ _SITES = {
     "linear": "linear sRGB, after the colour matrix",
     "encoded": "the encoded picture",
     "output": "what the file holds",
-}
-_STATUS = {
-    "accepted": "found",
-    "rejected": "",
-    "absorbed": "taken up by the base fit",
-    "not_identifiable": "cannot be told apart",
 }
 _FARTHER = "takes pixels farther away"
 
@@ -64,7 +58,7 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
         InputError: nothing can be written there.
     """
     folder = output_folder(folder)
-    text = json.dumps(_plain(report), indent=1, allow_nan=False)
+    text = json.dumps(plain(report), indent=1, allow_nan=False)
     with atomic_write(folder / "report.json") as file:
         file.write((text + "\n").encode())
     page = folder / "report.html"
@@ -73,12 +67,12 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
     return page
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Numbers and lists that JSON knows; what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -86,7 +80,7 @@ def _plain(value: Any) -> Any:
 
 def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     """The page as text."""
-    report = _plain(report)
+    report = plain(report)
     bars = _ranking(report)
     where = report["where"]
     shown = [w for w in where if finite(w["p_value"]) and w["p_value"] < _CLEAR][:_PLOTS] or where[:1]
@@ -99,7 +93,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         warning=few_pairs(report).capitalize(),
         metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
         gap=_gap(report["gap"], bool(report["causes"])),
-        reducible=_reducible(report["gap"], bool(report["causes"])),
+        reducible=reached(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
         where=[_axis(w, statistics) for w in shown],
@@ -151,7 +145,7 @@ def _nearest(report: Mapping[str, Any]) -> str:
 def unexplained(report: Mapping[str, Any]) -> str:
     """How much of the gap the named effects leave; "" where that is little, or none is named."""
     share = report["unexplained"]["share"]
-    considerable = report["causes"] and finite(share) and share >= _CONSIDERABLE
+    considerable = report["causes"] and finite(share) and share >= CONSIDERABLE
     return f"{percent(share)} of the gap stays unexplained" if considerable else ""
 
 
@@ -209,14 +203,14 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     ]
 
 
-def _reducible(gap: Mapping[str, Any], changed: bool) -> str:
-    """How the named effects compare with a flexible model; "" where there is none."""
+def reached(gap: Mapping[str, Any], named: bool) -> str:
+    """How a flexible model compares with the named effects, or without these; "" where there is none."""
     found = gap.get("reducible") or {}
     if not finite(found.get("best")):
         return ""
     if not _lower(gap):
         return "No flexible model of ours gets lower."
-    if not changed or not finite(found.get("explained")):
+    if not named or not finite(found.get("explained")):
         return f"A flexible model ({found['how']}) gets to {number(found['best'])}."
     share, how = percent(found["explained"]), found["how"]
     return f"Of what our flexible models could reduce (lowest: {how}), the named effects are {share}."
@@ -243,13 +237,19 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             percent(row["closed"]) + (f" {span(ci)}" if ci else ""),
             ci,
         )
-        status = _STATUS.get(row["status"], row["status"]) if row.get("possible", True) else _FARTHER
-        reason = " ".join(words(w) if "_" in w else w for w in (row.get("reason") or "").split())
-        bar |= {"kind": row["status"], "status": reason or status}
+        bar |= {"kind": row["status"], "status": _status(row)}
         if ci and finite(row.get("predicted")):
             bar |= {"mark": _place(row["predicted"], top), "predicted": percent(row["predicted"])}
         bars.append(bar)
     return bars
+
+
+def _status(row: Mapping[str, Any]) -> str:
+    """What came of a candidate, with names in words; "" where it was only not good enough."""
+    if row["status"] == "accepted":
+        return "found"
+    said = row.get("reason") or ("" if row.get("possible", True) else _FARTHER)
+    return " ".join(words(word) if "_" in word else word for word in said.split())
 
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:

@@ -64,6 +64,13 @@ def _p_value(z: float, tried: int) -> float:
     return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
 
 
+HIDDEN = "these pairs hardly show it, however strong"
+TAKEN_UP = "taken up by the base fit"
+STATED = "the file's header states it"
+NO_HEADER = "without the file's header nothing tells it from the file's own compression"
+"""Why a candidate was not named; any of `ranking`'s reasons."""
+
+
 def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
@@ -96,10 +103,3 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
         for name, why in apart.items()
         if name not in found.promises
     ]
-
-
-HIDDEN = "these pairs hardly show it, however strong"
-TAKEN_UP = "taken up by the base fit"
-STATED = "the file's header states it"
-NO_HEADER = "without the file's header nothing tells it from the file's own compression"
-"""Why a candidate was not named; any of `ranking`'s reasons."""

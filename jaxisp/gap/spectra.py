@@ -4,7 +4,6 @@ Of RAW+JPEG pairs the residual is looked at. Two draws of noise never agree pixe
 pairs the noise of the real pictures stands beside that of simulated ones.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,9 +11,8 @@ import numpy as np
 
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.measured import Case
-from jaxisp.gap.noisy_mean import Maps
 from jaxisp.gap.scenes import scene_name
-from jaxisp.gap.statistics import Frames, frames_of
+from jaxisp.gap.statistics import frames_of, noise_of
 
 LAGS = 4  # pixels that neighbours are apart, at most
 _BINS = 24
@@ -94,31 +92,6 @@ def _product(planes: np.ndarray, down: int, right: int) -> float:
     return float(np.einsum("nhw,nhw->", first, other))
 
 
-def noise(residual: np.ndarray, maps: Sequence[tuple[Maps, ...]], frames: Frames) -> np.ndarray:
-    """What is noise of a residual, as `statistics` takes it: without what follows the noise-free picture, and
-    where a scene has several frames without what these have in common.
-
-    Args:
-        residual: (N, h, w, 3) pictures less noise-free ones, Y'CbCr in 8-bit steps.
-        maps: `normalised_regressors` of the noise-free ones.
-        frames: which pictures are of one scene.
-    """
-    left = np.stack([_less_mean(*own) for own in zip(residual, maps)])
-    apart = np.eye(len(left)) - np.asarray(frames.average)
-    apart /= np.sqrt((apart**2).sum(1, keepdims=True))
-    return np.einsum("mn,nhwc->mhwc", apart, left, optimize=True) if frames.repeated else left
-
-
-def _less_mean(residual: np.ndarray, maps: tuple[Maps, ...]) -> np.ndarray:
-    """(h, w, 3) what a regression on the maps leaves."""
-    left = []
-    for channel, (m, inverse) in enumerate(maps):
-        plane = residual[..., channel]
-        fitted = (inverse @ (m @ jnp.asarray(plane).ravel())) @ m
-        left.append(plane - np.asarray(fitted).reshape(plane.shape))
-    return np.stack(left, -1)
-
-
 def held_out_spreads(case: Case, picture: np.ndarray) -> dict[str, dict[str, Spread]]:
     """By whose it is, over the held-out pairs: "simulator" where the problem stands, and beside it "floor",
     what the file's own compression leaves (where that is known), or "real", the noise of the real pictures.
@@ -133,9 +106,11 @@ def held_out_spreads(case: Case, picture: np.ndarray) -> dict[str, dict[str, Spr
         left = {"simulator": problem.target - picture, "floor": case.stored}
         return {whose: spreads(own[held], weight) for whose, own in left.items() if own is not None}
     frames = frames_of([scene_name(problem.pairs.names[i]) for i in held])
+    counted = jnp.asarray(weight > 0, jnp.float32)
     looked_at = {"simulator": (picture, problem.again), "real": (problem.target, problem.reference)}
     found = {}
     for whose, (pictures, against) in looked_at.items():
-        own = against.take(held)
-        found[whose] = spreads(noise(pictures[held] - np.asarray(own.picture), own.maps, frames), weight)
+        own, shown = against.take(held), jnp.asarray(pictures[held])
+        noise = noise_of(shown, own.picture, counted, own.maps, frames)
+        found[whose] = spreads(np.asarray(noise), weight)
     return found

@@ -62,8 +62,7 @@ def features(
         frames: where a scene has several, their noise is what each differs in from their mean.
         seen: how to get back to what the sensor read.
     """
-    parts = [_mean_part(*own) for own in zip(y, s, mask, maps)]  # compiled once for any N
-    means, whole = (jnp.stack(part) for part in zip(*parts))
+    means, whole = _regressed(y, s, mask, maps)
     noise = _apart(whole, mask, frames.average)
     each = [_noise_part(*own, seen) for own in zip(noise, y, s, mask)]
     changes = np.zeros((len(y), len(_CHANGES)))
@@ -71,6 +70,23 @@ def features(
         changes = _changes(y - s, s[..., 0], mask, frames.average)
     others = np.concatenate([np.stack(each), _patterns(whole, s, mask, frames.others), changes], 1)
     return np.concatenate([means, others[:, _others()[1]]], 1)
+
+
+def noise_of(
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]], frames: Frames
+) -> jax.Array:
+    """(N, h, w, 3) the noise that `features` are of: what a regression on the maps leaves, and where a scene
+    has several frames what each differs in from their mean."""
+    return _apart(_regressed(y, s, mask, maps)[1], mask, frames.average)
+
+
+def _regressed(
+    y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]]
+) -> tuple[jax.Array, jax.Array]:
+    """(N, M) amplitudes of the maps, and (N, h, w, 3) what a regression on them leaves."""
+    parts = [_mean_part(*own) for own in zip(y, s, mask, maps)]  # compiled once for any N
+    means, whole = (jnp.stack(part) for part in zip(*parts))
+    return means, whole
 
 
 def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:

@@ -48,11 +48,11 @@ def test_what_vanishes_with_the_place_is_the_place_s():
     size = 20 * np.isin(AXIS, ("tail", "row")) + 5.0 * (AXIS == "fixed_pattern") + 1.0
     difference, weight = size * np.sqrt(weights()), weights()
     without = np.where(AXIS == "tail", 0.5, 0.2) * difference
-    rows = located(difference, weight)
+    rows = located(difference, weight, difference[None], ["one"])
     share = {row["axis"]: row["share"] for row in rows}
     assert "frame" not in share, "no scene has several"
     assert np.concatenate([row["weights"] for row in rows]).mean() == pytest.approx(1)
-    found = credited(rows, difference, without, weight)
+    found = credited(rows, difference, without, weight, (difference[None], without[None]), ["one"])
     now = {row["axis"]: row["share"] for row in found}
     before, after = ((own**2 - weight)[AXIS == "tail"].sum() for own in (difference, without))
     kept = after / before
@@ -112,4 +112,5 @@ def test_interval_moves_with_what_is_credited():
     low, high = after["fixed_pattern"]["ci"]
     assert low < after["fixed_pattern"]["share"] < high
     assert low > before["fixed_pattern"]["ci"][1] and after["row"]["ci"] == before["row"]["ci"]
-    assert all(row["ci"] is None for row in credited(rows, *args))
+    one = credited(rows, *args, (apart, without), 4 * ["a"])
+    assert all(row["ci"] is None for row in one)

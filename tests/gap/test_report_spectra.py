@@ -7,11 +7,8 @@ import pytest
 
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.noisy_mean import normalised_regressors
 from jaxisp.gap.report_spectra import lag_maps, spectra_part, spectra_plot, strongest
-from jaxisp.gap.spectra import LAGS, noise, spread, spreads
-from jaxisp.gap.statistics import frames_of
-from tests.gap.scenes import scenes
+from jaxisp.gap.spectra import LAGS, spread, spreads
 
 SHAPE = (4, 96, 120)
 ALL = np.ones(SHAPE)
@@ -81,27 +78,6 @@ def test_chroma_is_both():
     found = spreads(planes, ALL)
     assert found["luma"].energy.mean() == pytest.approx(9.0, rel=0.06)
     assert found["chroma"].energy.mean() == pytest.approx(2.5, rel=0.06)  # of 1 and 4
-
-
-def test_noise_is_without_what_follows_the_clean_picture():
-    clean = scenes(np.random.default_rng(3), 4, SHAPE[1:])
-    grains = np.stack([white(0), white(1), white(2)], -1).astype(np.float32)
-    maps = normalised_regressors(clean, ALL)
-    alone = frames_of(list("abcd"))
-    error = (0.1 * (clean - clean.mean())).astype(np.float32)
-    left = noise(error + grains, maps, alone) - noise(grains, maps, alone)
-    assert left.std() < 0.05 * error.std() and error.std() > 3
-    assert noise(grains, maps, alone).std() == pytest.approx(3.0, rel=0.02)
-
-
-def test_what_frames_of_a_scene_have_in_common_is_no_noise():
-    clean = scenes(np.random.default_rng(3), 4, SHAPE[1:])
-    clean[1] = clean[0]
-    grains = np.stack([white(0), white(1), white(2)], -1).astype(np.float32)
-    fixed = 9 * np.random.default_rng(8).normal(size=clean[0].shape).astype(np.float32)
-    found = noise(grains + fixed, normalised_regressors(clean, ALL), frames_of(list("aabc")))
-    assert found[:2].std() == pytest.approx(3.0, rel=0.02)  # as large as if the mean were known
-    assert found[2:].std() == pytest.approx(np.hypot(9, 3), rel=0.02)
 
 
 def found_in(seed, **more):

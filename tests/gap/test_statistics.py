@@ -12,7 +12,7 @@ from jaxisp.gap.noisy_codes import unknown_codes
 from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
 from jaxisp.gap.noisy_noise import LEVELS
 from jaxisp.gap.noisy_units import axis_of, present, tolerances, weights
-from jaxisp.gap.statistics import compile_features, feature_names, features, frames_of
+from jaxisp.gap.statistics import compile_features, feature_names, features, frames_of, noise_of
 from tests.gap.scenes import scenes
 
 SCENE = scenes(np.random.default_rng(3), 4, (112, 112))  # of the diagnoses' size: they share its programs
@@ -212,6 +212,25 @@ def test_frames_of_one_scene_give_the_noise_without_what_they_share():
     assert rows[1]["change frame Y dark"] == pytest.approx(rows[0]["change frame Y dark"], abs=1e-3)
     np.testing.assert_array_equal(frames_of(["a", "b"]).average, 0)
     np.testing.assert_array_equal(frames_of(["a", "a"]).others, [[0, 1], [1, 0]])
+
+
+def test_noise_is_without_what_follows_the_clean_picture():
+    grains = white(5, 3.0)
+    error = 0.1 * (SCENE - SCENE.mean())
+    found, alone = (noise_of(SCENE + y, SCENE, MASK, MAPS, FRAMES) for y in (grains + error, grains))
+    assert np.std(found - alone) < 0.05 * np.std(error) and np.std(error) > 3
+    assert np.std(alone) == pytest.approx(3.0, rel=0.02)
+
+
+def test_what_frames_of_a_scene_have_in_common_is_no_noise():
+    clean = np.array(SCENE)
+    clean[1] = clean[0]
+    fixed = np.random.default_rng(8).normal(0, 9, clean[0].shape)
+    maps = normalised_regressors(jnp.asarray(clean), MASK)
+    shown = jnp.asarray(clean + fixed + white(5, 3.0))
+    found = np.asarray(noise_of(shown, clean, MASK, maps, frames_of([*"aabc"])))
+    assert found[:2].std() == pytest.approx(3.0, rel=0.02)  # as large as if the mean were known
+    assert found[2:].std() == pytest.approx(np.hypot(9, 3), rel=0.02)
 
 
 def test_what_was_compiled_before_serves_pictures_of_that_size():
