@@ -15,7 +15,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.train import TrainConfig
 
-pytestmark = pytest.mark.optimised
+pytestmark = [pytest.mark.optimised, pytest.mark.slow]
 
 
 def test_demo(tmp_path, capsys, monkeypatch):

@@ -18,9 +18,10 @@ from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.outside import AXES as OUTSIDE_AXES
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
-from experiments.withheld.study import cases, counted, examine, kept, run, true_closure
+from experiments.withheld.study import _TOO_SMALL, cases, counted, examine, kept, run, true_closure
 from experiments.withheld.tables import markdown, wilson
 from jaxisp.gap.effects import AXES
+from jaxisp.gap.verdict import NULL_DROP
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
 ALLOWED = {"numpy", "scipy", "cv2", "PIL", "skimage"}
@@ -177,6 +178,21 @@ def test_deleting_hides_the_true_effect_alone() -> None:
     found = examine(case, diagnosis, size=64, count=2)
     assert tried == [(5, [case.effects[0][0]])] and found["verdict"] == "unknown"
     assert "statistics" not in found  # nothing is compared with these
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("more", "excluded"), [(-0.01, [34]), (0.0, [34, 0])])
+def test_nulls_whose_gap_is_too_small_are_not_searched(kind: str, more: float, excluded: list[int]) -> None:
+    """A diagnosis looks for no effect there, so that the verdict is the same."""
+    assert _TOO_SMALL[kind] < 1 + NULL_DROP[kind] < _TOO_SMALL[kind] + 0.15
+    tried = []
+
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        tried.append(len(exclude))
+        return report("none") | {"gap": {"before": _TOO_SMALL[kind] + more, "floor": 1.0}}
+
+    examine(next(cases(kind, "nulls", ["alder"], [1])), diagnosis, size=64, count=2)
+    assert tried == excluded
 
 
 def test_scene_sets_are_disjoint() -> None:

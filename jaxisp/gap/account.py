@@ -72,7 +72,7 @@ def accounted(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap
         gap: before.
         left: the gap with them.
     """
-    more, closed = (left - gap.floor) / gap.floor, (gap.before - left) / gap.scale
+    more, closed = (left - gap.floor) / gap.unit, (gap.before - left) / gap.scale
     nearer = after.distance < (1 - FARTHEST) * before.distance  # no stranger brought pixels as near
     if any(more >= most and closed < least for most, least in ACCOUNTED[RAW_JPEG if nearer else kind]):
         return False
@@ -92,4 +92,4 @@ def kept_axes(kind: str, causes: Sequence[str], before: Shown, after: Shown, gap
     then = {row["axis"]: first * row["share"] for row in before.rows if row["axis"] not in own}
     now = {row["axis"]: last * row["share"] for row in after.rows if row["p_value"] < _SURE[kind]}
     main = {axis: was for axis, was in then.items() if was > _MAIN * gap.scale}
-    return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT[kind] * was, _SEEN[kind] * gap.floor)]
+    return [a for a, was in main.items() if now.get(a, 0.0) > max(_KEPT[kind] * was, _SEEN[kind] * gap.unit)]

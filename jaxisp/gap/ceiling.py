@@ -37,7 +37,7 @@ def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least
         gap: before any cause.
         after: with the causes.
         refits: with effects that were fitted, believed or not.
-        least: by how much, as a share of the floor, the gap of a camera that lacks nothing may be lowered.
+        least: by how much, as a share of the unit, the gap of a camera that lacks nothing may be lowered.
 
     Returns:
         {"best": that gap, "how": which model reached it, "explained": the share of `before - best` that the
@@ -50,7 +50,7 @@ def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least
         found["a small network on what is left"] = _network_leaves(problem, split)
     how = min(found, key=lambda name: found[name])
     could = gap.before - found[how]
-    explained = (gap.before - after) / could if could > least * gap.floor else None
+    explained = (gap.before - after) / could if could > least * gap.unit else None
     return {"best": found[how], "how": how, "explained": explained}
 
 

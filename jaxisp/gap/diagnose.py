@@ -17,6 +17,7 @@ from jaxisp.gap.frame import Laid, in_one_frame
 from jaxisp.gap.measured import Case, Downstream, Gap, Rows, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_pairs import on_each_other
+from jaxisp.gap.null_bank import CLEAR, held_against_nulls
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.rows import NO_HEADER, STATED, TAKEN_UP, base_row, cause_row, ranking_rows
@@ -134,7 +135,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict
     apart |= dict.fromkeys(case.absorbed, TAKEN_UP)
     tried = len(case.offered) + (case.stored is not None)  # and film grain
     causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
-    reached = {}
+    reached, where = {}, held_against_nulls(found.before.where, case.kind, gap.before, gap)
     if there:
         tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
         refits = [t.after for t in (*found.trials.values(), *found.nearest)]
@@ -150,13 +151,13 @@ def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict
         },
         "gap": {
             "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,
-            "ci": _interval(problem, held, after),
+            "ci": _interval(problem, held, after), "axes": {row["axis"]: row["size"] for row in where},
         } | reached | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "ranking": ranking_rows(found, apart, gap.scale),
-        "where": list(found.before.where) if there else [],
-        "unexplained": _unexplained(found, after, gap, there),
+        "where": where if there else [],
+        "unexplained": _unexplained(found, after, case.kind, gap, there),
         "seconds": 0.0,
     }  # fmt: skip
 
@@ -303,23 +304,30 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
     return list(interval(problem.clustered(share * left, held), 1.0))
 
 
-def _unexplained(found: Found, after: float, gap: Gap, there: bool) -> dict[str, Any]:
-    share, axes = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), _left(found.after.where)
-    text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(axes)}" if axes else "")
-    wanted = axes if found.causes else _left(found.before.where)
+def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -> dict[str, Any]:
+    def axes(rows: Rows, at: float) -> list[str]:
+        return _clear(held_against_nulls(rows, kind, at, gap))
+
+    share, left = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, after)
+    text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(left)}" if left else "")
+    wanted = left if found.causes else axes(found.before.where, gap.before)
     next_one = advice.about(wanted) if there and share >= advice.CONSIDERABLE else None
-    row = {"share": share, "axes": axes, "description": text, "next_measurement": next_one}
+    row = {"share": share, "axes": left, "description": text, "next_measurement": next_one}
     if found.refused is None:
         return row
-    causes, shown = found.refused.causes, found.refused.after
-    closed = float((gap.before - causes[-1][0].after) / gap.scale)
-    nearest = {"effects": [t.effect for t, _ in causes], "closed": closed, "axes": _left(shown.where)}
+    causes = found.refused.causes
+    reached = causes[-1][0].after
+    nearest = {
+        "effects": [t.effect for t, _ in causes],
+        "closed": float((gap.before - reached) / gap.scale),
+        "axes": axes(found.refused.after.where, reached),
+    }
     return row | {"nearest": nearest}
 
 
-def _left(rows: Rows) -> list[str]:
+def _clear(rows: Rows) -> list[str]:
     """The axes that clearly have some of a gap, three at most."""
-    return [str(row["axis"]) for row in rows if row["p_value"] < 0.01 and row["share"] > 0.02][:3]
+    return [str(row["axis"]) for row in rows if row["p_value"] <= CLEAR and row["share"] > 0.02][:3]
 
 
 def _pictures(case: Case, when: str) -> dict[str, Any]:

@@ -85,19 +85,25 @@ class Split:
 
 
 class Gap(NamedTuple):
-    """On the held-out pairs, at the base."""
+    """On the held-out pairs, at the base; `least` is the unit where the floor is below."""
 
     before: float
     floor: float
+    least: float = 0.0
 
     @property
     def scale(self) -> float:
         """What counts as the whole of it."""
         return max(self.before - self.floor, 0.02 * self.floor, 1e-6)
 
+    @property
+    def unit(self) -> float:
+        """What differences that are harmless are a share of."""
+        return max(self.floor, self.least)
+
     def exceeds(self, share: float) -> bool:
-        """Whether it is above the floor by this share of it."""
-        return self.before >= self.floor * (1 + share)
+        """Whether it is above the floor by this share of the unit."""
+        return self.before >= self.floor + share * self.unit
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,7 +38,8 @@ def located(
 
     Returns:
         as `where` does, largest share first; `ci` is [low, high], the 90 % interval of the share over draws
-        of the scenes, units left as they are, or None of one scene.
+        of the scenes, units left as they are, or None of one scene; `size` is the mean square in units, and
+        `p_value` that of chance.
     """
     names = feature_names()
     axes = np.array([axis_of(name) for name in names])
@@ -54,6 +55,7 @@ def located(
             "axis": axis,
             "share": float(share),
             "ci": ci[axis],
+            "size": float((in_units[axes == axis] ** 2).mean()),
             "p_value": _p_value(float((in_units[axes == axis] ** 2).mean())),
             "bins": [_short(n) for n, a in zip(names, axes) if a == axis],
             "profile": [float(v) for v in in_units[axes == axis]],
@@ -91,12 +93,12 @@ def credited(
         both = zip((difference, without), apart)
         drawn = _moved(*(_above(_excess(mean, own, draws, weights), weights) for mean, own in both))
         ci = _intervals(draws, shares, drawn)
-    surely = min((row["p_value"] for row in rows if spilt.get(row["axis"], 0.0) > 0), default=1.0)
+    size = max(row["size"] for row in rows if row["axis"] == _PLACE or spilt.get(row["axis"], 0.0) > 0)
+    surely = {"size": size, "p_value": _p_value(size)}
 
     def own(row: dict[str, Any]) -> dict[str, Any]:
         axis = row["axis"]
-        p_value = min(row["p_value"], surely) if axis == _PLACE else row["p_value"]
-        return row | {"share": float(shares[axis]), "ci": ci[axis], "p_value": p_value}
+        return row | {"share": float(shares[axis]), "ci": ci[axis]} | (surely if axis == _PLACE else {})
 
     return _ranked([own(row) for row in rows])
 

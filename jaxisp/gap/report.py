@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from jaxisp.gap.advice import CONSIDERABLE
+from jaxisp.gap.null_bank import CLEAR, bank
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report_downstream import downstream_part
 from jaxisp.gap.report_params import parameters_of
@@ -25,7 +26,6 @@ _ENVIRONMENT = jinja2.Environment(
 )
 _PLOTS, _BARS = 6, 8
 _WHEN = ("before", "after")
-_CLEAR = 0.05  # axes whose p-value is above are only listed
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
 _SITES = {
@@ -83,7 +83,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     report = plain(report)
     bars = _ranking(report)
     where = report["where"]
-    shown = [w for w in where if finite(w["p_value"]) and w["p_value"] < _CLEAR][:_PLOTS] or where[:1]
+    shown = [w for w in where if finite(w["p_value"]) and w["p_value"] <= CLEAR][:_PLOTS] or where[:1]
     others = [w for w in where if w not in shown]
     statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
@@ -97,6 +97,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
         where=[_axis(w, statistics) for w in shown],
+        nulls=len(bank()[report["kind"]]["largest"]) if any(w.get("usual") for w in shown) else 0,
         rest=", ".join(f"{words(w['axis'])} {percent(w['share'])}" for w in others),
         spectra=spectra_part(report["kind"], pictures),
         ranking=bars[:_BARS],
@@ -269,6 +270,7 @@ def _axis(w: Mapping[str, Any], statistics: bool) -> dict[str, Any]:
     shown: dict[str, Any] = {
         "name": words(w["axis"]),
         "share": percent(w["share"]),
+        "size": f"{number(w['size'] / w['usual'])} times the usual, " if w.get("usual") else "",
         "p": chance(w["p_value"]),
     }
     if w.get("ci") and all(map(finite, w["ci"])):

@@ -16,6 +16,9 @@ from jaxisp.gap.stepwise import Terms, Tick, search
 from jaxisp.gap.which import LEADING
 
 MOST_CAUSES = 3
+LEAST_UNIT = {RAW_JPEG: 4.0, "clean+noisy": 0.0}
+"""The floor that thresholds are shares of, at least. In squared 8-bit steps most compressed files have 4 to
+36; what is harmless is no smaller where a file is not compressed, and its floor 0.1."""
 NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
 and its order of steps are not quite the base's. As 47 and 24 nulls have it, see docs/diagnosis.md."""
@@ -67,7 +70,7 @@ class Found(NamedTuple):
 def gap_at(case: Case) -> Gap:
     held = list(case.split.held_out)
     before = float(np.nanmean(case.problem.units(case.problem.z)[held]))
-    return Gap(before, float(min(case.floors[held].mean(), before)))
+    return Gap(before, float(min(case.floors[held].mean(), before)), LEAST_UNIT[case.kind])
 
 
 def whole_of(case: Case, size: float) -> Whole:
@@ -82,12 +85,12 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     problem, scale, kind, held = case.problem, gap.scale, case.kind, case.split.held_out
     start, before = (problem.model, problem.z.copy()), shown(problem, held)
     could = gap.exceeds(NULL_DROP[kind])  # smoothing alone can come nearer than the floor
-    alone = max(NULL_DROP[kind] * gap.floor / scale, SMALLEST)
+    alone = max(NULL_DROP[kind] * gap.unit / scale, SMALLEST)
     most, enough = MOST_CAUSES if could else 0, alone if LEAST_CLOSED[kind] else -np.inf
     leading = LEADING * (1 - _grain_closes(case, scale, alone))
-    part, apart = LEAST_CLOSED[kind], APART[kind] * gap.floor / scale
-    plainly, again = NULL_DROP[kind] * gap.floor / scale, kind != RAW_JPEG  # whose columns are taken along
-    visible = NULL_EXCESS[kind] * gap.floor
+    part, apart = LEAST_CLOSED[kind], APART[kind] * gap.unit / scale
+    plainly, again = NULL_DROP[kind] * gap.unit / scale, kind != RAW_JPEG  # whose columns are taken along
+    visible = NULL_EXCESS[kind] * gap.unit
     terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again, visible)
     found = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
     steps, trials, promises = found.causes, found.trials, found.promises

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from experiments.null_bank import beyond
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap.null_bank import bank
 from jaxisp.gap.rows import HIDDEN
 
 pytestmark = pytest.mark.optimised
@@ -53,6 +55,7 @@ def keeps_the_contract(report):
         assert cause["ci"][0] > 0.05 and 0 <= cause["p_value"] <= 1
     for row in report["where"]:
         assert 0 <= row["ci"][0] <= row["share"] <= row["ci"][1] <= 1
+        assert row["size"] == gap["axes"][row["axis"]] and 0 < row["p_value"] <= 1
     if report["verdict"] != "none":
         assert gap["reducible"]["best"] <= gap["after"] and gap["reducible"]["explained"] <= 1
 
@@ -67,6 +70,7 @@ def named(report) -> set[str]:
 def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
     report = diagnosed(harmless)
     assert report["verdict"] == "none" and report["causes"] == [] and report["where"] == []
+    assert not beyond(bank()["raw+jpeg"], report["gap"]["axes"])
 
 
 @pytest.mark.parametrize(
