@@ -24,10 +24,8 @@ from .effects import DEVELOP, KINDS, LEVELS, NULLS, OUTSIDE, PAIRED, PAIRS, SEAL
 from .scenes import SETS
 
 _CASES = 12  # of one process: programs for every camera that it has seen come to gigabytes
-_TOO_SMALL = {
-    "raw+jpeg": 1.05,
-    "clean+noisy": 1.6,
-}  # floors; a diagnosis looks for effects from 1.1 and 1.7 on
+_TOO_SMALL = {"raw+jpeg": 1.05, "clean+noisy": 1.6}
+"""In floors: a diagnosis looks for effects in gaps of 1.1 and 1.7 on."""
 Report = dict[str, Any]
 Diagnose = Callable[..., Report]
 SCENES = {

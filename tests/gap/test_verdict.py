@@ -8,7 +8,7 @@ from jaxisp.gap.account import Shown
 from jaxisp.gap.measured import Case, Gap, Split
 from jaxisp.gap.refit import Trial, Whole
 from jaxisp.gap.stepwise import Searched
-from jaxisp.gap.verdict import by_closure, searched
+from jaxisp.gap.verdict import by_closure, gap_at, searched
 
 
 def trial(effect, z, before, after, choice=None):
@@ -68,6 +68,20 @@ def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
     monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
     case = Case("clean+noisy", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
     assert searched(case, Gap(1.5, 1.0), lambda *tick: None).causes == []
+
+
+@pytest.mark.parametrize(("kind", "least"), [("raw+jpeg", 4.0), ("clean+noisy", 0.0)])
+def test_what_is_harmless_is_no_smaller_where_a_file_is_not_compressed(kind, least):
+    """A floor of rounding alone is no measure of it; that of a compressed file is."""
+
+    def gap(before, floor):
+        problem = SimpleNamespace(z=None, units=lambda z: np.full((2, 1), before))
+        return gap_at(Case(kind, problem, Split((0,), (1,)), np.full(2, floor), {}, []))
+
+    small, large = gap(0.45, 0.1), gap(15.0, 10.0)
+    assert (small.before, small.floor, small.unit) == (0.45, 0.1, max(0.1, least))
+    assert small.exceeds(0.1) == (least == 0)
+    assert large.unit == 10 and large.exceeds(0.5) and not large.exceeds(0.51)
 
 
 def test_causes_come_by_what_they_close():
