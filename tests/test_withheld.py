@@ -231,6 +231,8 @@ def test_tables_count_what_was_said() -> None:
     assert "| right effect first | 50% " in text
     assert "| its group first | 100% " in text
     assert "| **all** | 50% " in text
+    assert "| 2.0 to 4.0 | 50% [9%, 91%] (1/2) | 1 | 0 | 0 |" in text, "both gaps are 3 floors"
+    assert "| 4.0 and more | – (0) | 0 | 0 | 0 |" in text
     assert true_closure(right, clear | {"gap": {"before": 1.5, "floor": 1.0}}) == 0.75
     counting = {"statistics": [[2.0, 1.5], [0.0, 0.5]]}  # the first counts three times as much; the gap is 3
     assert true_closure(right | counting, clear | {"statistics": []}) == 0.0

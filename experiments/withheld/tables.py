@@ -9,6 +9,8 @@ import argparse
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from math import inf
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -23,6 +25,7 @@ Record = dict[str, Any]
 
 
 VERDICTS = ("unknown", "none", "effect")
+GAPS = (1.0, 1.1, 1.25, 1.5, 2.0, 4.0, inf)
 HEAD = """# Withheld effects{strengths}
 
 Cameras that share no code with the package (`experiments/withheld`), whose effect the diagnosis is not
@@ -122,7 +125,7 @@ def effects_section(records: list[Record]) -> str:
     if soft:
         either = share(soft, lambda r: first_right(r) or taken_up(r))
         parts.append(f"Effects that a fitted baseline may take up: named, absorbed or none: {either}.\n")
-    parts += [power(records), confusion(records), closures(records), missed(records)]
+    parts += [power(records), by_gap(sure), confusion(records), closures(records), missed(records)]
     return "\n".join(parts)
 
 
@@ -138,6 +141,19 @@ def power(records: list[Record]) -> str:
         [n, *(f"{sum(f[v])}/{len(f[v])}" if v in f else "" for v in levels)] for n, f in sorted(by.items())
     ]
     return "### Right effect first, by strength\n\n" + table(["effect", *map(str, levels)], rows)
+
+
+def by_gap(records: list[Record]) -> str:
+    """What is said of gaps of each size, of effects that no baseline takes up."""
+    rows = []
+    for low, high in pairwise(GAPS):
+        those = [r for r in records if low <= r["gap"]["before"] / r["gap"]["floor"] < high]
+        said = Counter("right" if first_right(r) else "wrong" if named(r) else r["verdict"] for r in those)
+        size = f"{low} to {high}" if high < inf else f"{low} and more"
+        others = [said[verdict] for verdict in ("unknown", "none")]
+        rows.append([size, share(those, first_right), said["wrong"], *others])
+    head = ["gap, in floors", "right effect first", "another first", "unknown", "none"]
+    return "### Right effect first, by the size of the gap\n\n" + table(head, rows)
 
 
 def confusion(records: list[Record]) -> str:
