@@ -306,7 +306,8 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
 
 def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -> dict[str, Any]:
     def axes(rows: Rows, at: float) -> list[str]:
-        return _clear(held_against_nulls(rows, kind, at, gap))
+        sure = [row for row in rows if row["p_value"] < _BY_CHANCE]
+        return _clear(held_against_nulls(sure, kind, at, gap))
 
     share, left = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, after)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(left)}" if left else "")
@@ -323,6 +324,10 @@ def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -
         "axes": axes(found.refused.after.where, reached),
     }
     return row | {"nearest": nearest}
+
+
+_BY_CHANCE = 0.01
+"""Axes of what is left must be less likely by chance alone; p-values of the bank are not as fine."""
 
 
 def _clear(rows: Rows) -> list[str]:
