@@ -18,7 +18,7 @@ from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.outside import AXES as OUTSIDE_AXES
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
-from experiments.withheld.study import _TOO_SMALL, cases, counted, examine, kept, run, true_closure
+from experiments.withheld.study import _TOO_SMALL, cases, counted, examine, kept, parse, run, true_closure
 from experiments.withheld.tables import markdown, wilson
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.verdict import NULL_DROP
@@ -178,6 +178,22 @@ def test_deleting_hides_the_true_effect_alone() -> None:
     found = examine(case, diagnosis, size=64, count=2)
     assert tried == [(5, [case.effects[0][0]])] and found["verdict"] == "unknown"
     assert "statistics" not in found  # nothing is compared with these
+
+
+def test_scenes_may_have_several_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    found: list[str] = []
+
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        found.extend(sorted(path.name for path in folder.glob("*.jpg")))
+        return report("none")
+
+    case = next(cases("clean+noisy", "sealed", ["alder"], [1]))
+    assert "failed" not in examine(case, diagnosis, size=64, count=2, frames=2)
+    scenes = [name.partition(".")[0] for name in found[::2]]
+    assert found == [f"{scene}.f{frame:02d}.jpg" for scene in scenes for frame in (0, 1)] and len(found) == 4
+    with pytest.raises(SystemExit):
+        parse(["--split", "nulls", "libraw", "--frames", "2", "--out", "x.json"])
+    assert "one frame of each scene" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -90,13 +90,16 @@ def shuffled(found: Sequence[Case]) -> list[Case]:
     return sorted(found, key=lambda case: zlib.crc32(case.name.encode()))
 
 
-def examine(case: Case, diagnose: Diagnose, size: int = 256, count: int = 8) -> dict[str, Any]:
+def examine(
+    case: Case, diagnose: Diagnose, size: int = 256, count: int = 8, frames: int = 1
+) -> dict[str, Any]:
     """Shoot one case, diagnose it, and keep the parts of the report that the tables need."""
     record: dict[str, Any] = {"case": case.name, **asdict(case), "standing": BODIES[case.body].standing}
     write = libraw.write if case.split == "libraw" else shoot.write
     with tempfile.TemporaryDirectory() as folder:
         try:
-            write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes, size, count=count)
+            taken = {"size": size, "count": count} | ({"frames": frames} if frames > 1 else {})
+            write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes, **taken)
             began = time.perf_counter()
             report = _report(case, Path(folder), diagnose)
         except Exception as error:
@@ -232,18 +235,22 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--scenes", choices=SETS, default="", help="instead of the split's own set")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--count", type=int, default=8, help="scenes in a data set")
+    parser.add_argument("--frames", type=int, default=1, help="of each scene")
     parser.add_argument("--skip", type=int, default=0, help="leave out as many: thresholds were set on them")
     parser.add_argument("--limit", type=int, help="end before this case")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
-    return parser.parse_args(words)
+    arguments = parser.parse_args(words)
+    if arguments.frames > 1 and "libraw" in arguments.split:
+        parser.error("LibRaw's data sets have one frame of each scene")
+    return arguments
 
 
 def main() -> None:
     arguments = parse()
     from jaxisp.gap import diagnose_folder
 
-    options = {"size": arguments.size, "count": arguments.count}
+    options = {key: getattr(arguments, key) for key in ("size", "count", "frames")}
     asked = " ".join(sys.argv[1:]).replace(f"--out {arguments.out}", "").strip()
     run(chosen(arguments), diagnose_folder, arguments.out, arguments.jobs, options, asked)
 
