@@ -57,7 +57,7 @@ def with_cfa(node: Node, cfa: str) -> Node:
 
 
 def shaded_mosaic(raw: Raw) -> np.ndarray:
-    """(H, W) mosaic with the file's own lens-shading gain map applied, where it has one."""
+    """(H, W) mosaic with the file's own lens shading, maps and vignetting, corrected, where it states any."""
     return raw.mosaic if raw.shading is None else raw.mosaic * raw.shading
 
 
@@ -87,7 +87,7 @@ def exposure_for_highlights(raw: Raw) -> float:
 
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
-    """Render a RAW file. A gain map in it is applied; distortion opcodes are not.
+    """Render a RAW file. The lens shading that it states is corrected; what it states of distortion is not.
 
     Large frames are rendered in strips of rows, as far as the camera's stages allow it.
 

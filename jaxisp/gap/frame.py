@@ -11,8 +11,10 @@ from jaxisp.camera import shaded_mosaic
 from jaxisp.cfa import shifted
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, estimate, same_scene, warp
+from jaxisp.gap.header import stated_warp
 from jaxisp.gap.residual import BORDER
 from jaxisp.io.datasets import Loaded
+from jaxisp.pipeline import run, stage
 
 _STRETCH = 0.75  # px at the border by which two scales may differ and count as one
 _UNLIKE = 0.1  # a correlation that even flat pairs of one scene reach
@@ -42,11 +44,18 @@ def row(
     return {"name": name, "shift_px": shift, "scale": scales, "done": done, "certain": certain}
 
 
-def _placed(mosaic: np.ndarray, picture: np.ndarray) -> Alignment:
-    """Where the picture lies on the mosaic, seen through the means of its 2x2 cells."""
+def _placed(pair: Loaded) -> Alignment:
+    """Where the picture lies on the mosaic, seen through the means of its 2x2 cells, and by a lens that is
+    corrected as the file says."""
+    assert pair.raw is not None
+    mosaic = shaded_mosaic(pair.raw)
     cell = mosaic[:-1, :-1] + mosaic[1:, :-1] + mosaic[:-1, 1:] + mosaic[1:, 1:]
+    stated = stated_warp(pair.raw)
+    if stated is not None:
+        three = jnp.repeat(jnp.asarray(cell)[..., None], 3, -1)
+        cell = np.asarray(run(stage("rectilinear_warp"), {"rectilinear_warp": stated}, three))[..., 1]
     # one fewer and half a pixel later than the pixels: about the same centre
-    return estimate(np.sqrt(np.clip(cell, 0, None)), picture)
+    return estimate(np.sqrt(np.clip(cell, 0, None)), pair.picture)
 
 
 def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
@@ -59,20 +68,20 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
     Raises:
         InputError: no pair is left.
     """
-    mosaics = [shaded_mosaic(pair.raw) for pair in loaded if pair.raw is not None]
-    places = [_placed(mosaic, pair.picture) for mosaic, pair in zip(mosaics, loaded)]
+    places = [_placed(pair) for pair in loaded]
     usual = float(np.median([place.correlation for place in places]))
     laid = Laid([], [], [])
-    for pair, mosaic, place in zip(loaded, mosaics, places):
+    for pair, place in zip(loaded, places):
+        assert pair.raw is not None
         off, scale = (place.dy, place.dx), (place.scale_y, place.scale_x)
-        other_size = mosaic.shape != pair.picture.shape[:2]
+        other_size = pair.raw.mosaic.shape != pair.picture.shape[:2]
         certain = same_scene(place, pair.picture.shape)
         if not certain and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
             reason = f"the two files do not show one scene: their correlation is {place.correlation:.2f}"
             laid.failed.append((pair.name, f"{pair.name}: {reason}"))
         elif other_size:
             first = laid.kept[0].raw if laid.kept else None
-            found, done = _cut(pair, mosaic, place, first.cfa if first else None)
+            found, done = _cut(pair, place, first.cfa if first else None)
             laid.kept.append(found)
             laid.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
         elif certain:
@@ -88,14 +97,14 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
     return laid
 
 
-def _cut(pair: Loaded, mosaic: np.ndarray, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
+def _cut(pair: Loaded, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
     """Both halves cut to what they share, and what that took; the mosaic starts at a site that gives it the
     pattern wanted."""
     assert pair.raw is not None
-    picture, sizes = pair.picture, np.array(mosaic.shape)
+    picture, sizes = pair.picture, np.array(pair.raw.mosaic.shape)
     stretch = max(abs(s - 1) * n / 2 for s, n in zip((place.scale_y, place.scale_x), sizes))
     if stretch > _STRETCH:
-        picture, offsets = np.asarray(warp(jnp.asarray(picture), place, mosaic.shape)), [0, 0]
+        picture, offsets = np.asarray(warp(jnp.asarray(picture), place, pair.raw.mosaic.shape)), [0, 0]
     else:
         centres = (np.array(picture.shape[:2]) - sizes) / 2
         offsets = [round(float(c + d)) for c, d in zip(centres, (place.dy, place.dx))]
@@ -109,8 +118,8 @@ def _cut(pair: Loaded, mosaic: np.ndarray, place: Alignment, cfa: str | None) ->
         )  # fmt: skip
     of_mosaic = tuple(slice(a, b) for a, b in zip(starts, stops))
     of_picture = tuple(slice(a + o, b + o) for a, b, o in zip(starts, stops, offsets))
-    raw = dataclasses.replace(
-        pair.raw, mosaic=mosaic[of_mosaic], gain_map=None, cfa=shifted(pair.raw.cfa, *starts)
-    )
+    cut = pair.raw.mosaic[of_mosaic]
+    crop = (pair.raw.crop[0] + starts[0], pair.raw.crop[1] + starts[1], *cut.shape)
+    raw = dataclasses.replace(pair.raw, mosaic=cut, crop=crop, cfa=shifted(pair.raw.cfa, *starts))
     done = "resampled" if stretch > _STRETCH else "cut"
     return dataclasses.replace(pair, raw=raw, picture=picture[of_picture]), done

@@ -258,10 +258,12 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     }
 
 
-def plain_camera(cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4") -> tuple[Chain, Params]:
+def plain_camera(
+    cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4", *, warped: bool = False
+) -> tuple[Chain, Params]:
     """The base that is fitted where no camera is given: black level, white balance, demosaicking, of square
-    roots if that is switched on, one colour matrix, sRGB, one tone curve, and the chroma sampling that the
-    file states."""
+    roots if that is switched on, the correction of the lens, where RAW files state it, one colour matrix,
+    sRGB, one tone curve, and the chroma sampling that the file states."""
     nodes = [
         Stage(stage("black_level").fn, "black_level_offset"),
         stage("mosaic_white_balance", cfa=cfa),
@@ -269,6 +271,7 @@ def plain_camera(cfa: str, algorithm: str = "malvar", subsampling: str = "4:4:4"
         stage("demosaicking", cfa=cfa, algorithm=algorithm),
         Gate(Stage(stage("gamma_expansion").fn, EXPANSION)),
         Stage(stage("white_balance").fn, "later_balance"),  # some balance before demosaicking, some after
+        *([stage("rectilinear_warp")] if warped else []),
         stage("color_matrix"),
         stage("srgb_oetf"),
         Stage(stage("spline_curve").fn, "tone_curve"),

@@ -13,6 +13,7 @@ from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
+from jaxisp.gap.header import stated_warp
 from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
@@ -22,6 +23,7 @@ from jaxisp.pipeline import Chain, Stage, run, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
+from jaxisp.stages.optics import RectilinearWarp
 
 SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
@@ -129,7 +131,14 @@ def raw_model(
         matrix = _start(pairs, cfa, gains)
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))
     per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
-    chain, params = plain_camera(cfa, subsampling=sampling)
+    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
+    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
+    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
+    warped = any(w is not None for w in warps)
+    if warped:
+        own = [w or RectilinearWarp() for w in warps]
+        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
+    chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
     params["color_matrix"] = ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))
     model = build(chain, params, per_pair, plain_freedom(), effects)
     return fit_base(model, pairs, fit_on)

@@ -1,5 +1,6 @@
 """Opcode lists of a DNG: lens-shading gain maps, lens warps and vignetting, from and to bytes."""
 
+import math
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -111,6 +112,24 @@ def shading_gain(maps: Iterable[GainMap], shape: tuple[int, int]) -> np.ndarray:
         horizontal = _weights(columns, shape[1], gain_map, 1)
         out[np.ix_(rows, columns)] *= vertical @ gain_map.gains[..., 0].astype(np.float32) @ horizontal.T
     return out
+
+
+def vignetting_gain(opcode: FixVignetteRadial, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) float32 gain of every pixel of the active area.
+
+    Source: Digital Negative specification 1.4, FixVignetteRadial.
+    """
+    (row, column), farthest = optical_centre(opcode.center, shape)
+    down, across = np.arange(shape[0]) - row, np.arange(shape[1]) - column
+    squared = (down[:, None] ** 2 + across**2) / max(farthest, 1.0) ** 2
+    return np.polynomial.Polynomial([1.0, *opcode.coefficients])(squared).astype(np.float32)
+
+
+def optical_centre(center: tuple[float, float], shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
+    """Row and column of a centre (x, y) in the active area, and how far off [px] the farthest corner is."""
+    place = center[1] * (shape[0] - 1), center[0] * (shape[1] - 1)
+    farthest = math.hypot(*(max(abs(p), abs(n - 1 - p)) for p, n in zip(place, shape)))
+    return place, farthest
 
 
 def _weights(positions: np.ndarray, length: int, gain_map: GainMap, axis: int) -> np.ndarray:

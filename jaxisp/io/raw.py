@@ -20,7 +20,7 @@ from jaxisp.io.calibration import (
 from jaxisp.io.description import RawDescription
 from jaxisp.io.files import PathLike, check_file, load_npy
 from jaxisp.io.libraw import camera_crop, check_bayer, opened, white_gains
-from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain
+from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain, vignetting_gain
 from jaxisp.io.settings import SettingsFile
 
 RAW_SUFFIXES = (
@@ -45,8 +45,8 @@ class Raw:
         xyz_to_camera: (3, 3) for the light of the shot, or None.
         camera_to_srgb: (3, 3) for white-balanced camera RGB, rows sum to 1, or None.
         noise_profile: (3, 2) shot and read of R, G, B in `shot * x + read**2`, or None.
-        gain_map: lens-shading maps, not applied; `shading` evaluates them.
-        warp, vignette: lens corrections, not applied, or None.
+        gain_map, vignette: lens-shading maps and vignetting, not applied, or None; `shading` evaluates them.
+        warp: lens correction, not applied, or None.
         orientation: EXIF 1 to 8, not applied.
         active_area: top, left, bottom, right in the sensor's frame.
         crop: top, left, height, width of `mosaic` in the active area.
@@ -77,12 +77,15 @@ class Raw:
 
     @property
     def shading(self) -> np.ndarray | None:
-        """(H, W) float32 gain of `gain_map` at every pixel of `mosaic`, or None."""
-        if self.gain_map is None:
+        """(H, W) float32 gain of `gain_map` and `vignette` at every pixel of `mosaic`, or None."""
+        if self.gain_map is None and self.vignette is None:
             return None
         top, left, bottom, right = self.active_area
         y, x, height, width = self.crop
-        return shading_gain(self.gain_map, (bottom - top, right - left))[y : y + height, x : x + width]
+        gain = shading_gain(self.gain_map or (), (bottom - top, right - left))
+        if self.vignette is not None:
+            gain = gain * vignetting_gain(self.vignette, gain.shape)
+        return gain[y : y + height, x : x + width]
 
 
 @np.errstate(all="ignore")  # a damaged file's numbers may overflow: what comes of them is checked

@@ -127,9 +127,24 @@ def test_opcodes_and_shading_after_a_crop(tmp_path):
     np.testing.assert_allclose(whole.gain_map[0].gains, gains, rtol=1e-6)
     np.testing.assert_array_equal(whole.vignette.coefficients, np.arange(5.0))
     assert whole.warp.coefficients.shape == (1, 6)
-    cropped = read_raw(dng(tmp_path / "b.dng", gain_map=maps, crop=(3, 5, 40, 51)))
+    cropped = read_raw(dng(tmp_path / "b.dng", gain_map=maps, opcodes_3=after, crop=(3, 5, 40, 51)))
     np.testing.assert_array_equal(cropped.shading, whole.shading[3:43, 5:56])
     np.testing.assert_array_equal(cropped.mosaic, read_raw(dng(tmp_path / "c.dng")).mosaic[3:43, 5:56])
+
+
+def test_vignetting_is_shading(tmp_path):
+    """1 in the optical centre, 1 + k0 + ... + k4 in the farthest corner, beside gain maps."""
+    terms = np.array([0.4, -0.1, 0.05, 0.02, -0.01])
+    after = [FixVignetteRadial(terms, (0.25, 0.5))]
+    raw = read_raw(dng(tmp_path / "a.dng", mosaic(41, 61), opcodes_3=after))
+    assert raw.shading[20, 15] == 1
+    np.testing.assert_allclose(raw.shading[[0, -1], -1], 1 + terms.sum(), rtol=1e-6)
+    radius = np.hypot(20 - 7, 15 - 9) / np.hypot(20, 45)
+    want = 1 + sum(k * radius ** (2 * i + 2) for i, k in enumerate(terms))
+    np.testing.assert_allclose(raw.shading[7, 9], want, rtol=1e-6)
+    doubled = [GainMap(np.full((1, 1, 1), 2.0), (0, 0, 41, 61))]
+    both = read_raw(dng(tmp_path / "b.dng", mosaic(41, 61), gain_map=doubled, opcodes_3=after))
+    np.testing.assert_allclose(both.shading, 2 * raw.shading, rtol=1e-6)
 
 
 def test_missing_colour_matrix_is_none(tmp_path):

@@ -87,7 +87,14 @@ def test_no_distortion_is_the_identity():
 
 @pytest.mark.parametrize("shape", [(23, 31, 3), (23, 401, 3), (1, 9, 3), (9, 1, 3)])
 @pytest.mark.parametrize(
-    "name", ["geometric_distortion", "lateral_chromatic_aberration", "radial_warp", "color_magnification"]
+    "name",
+    [
+        "geometric_distortion",
+        "lateral_chromatic_aberration",
+        "radial_warp",
+        "rectilinear_warp",
+        "color_magnification",
+    ],
 )
 def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shape, monkeypatch, x64):
     """Forward and reverse mode are written separately; these few pixels are large enough for strips here."""
@@ -104,7 +111,7 @@ def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shap
         return tangent, jax.vjp(lambda p, x: node(p, x), *given)[1](weights)
 
     tangent, (by_params, by_image) = both_ways((params, image), (moved, change), weights)
-    backward = sum(0.5 * v for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
+    backward = sum(0.5 * jnp.sum(v) for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
     np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
 
 
@@ -128,6 +135,53 @@ def test_radial_warp_reads_by_cubic_convolution(sharpness, x64):
     np.testing.assert_allclose(out[3:-3, 3:-3], want[3:-3, 3:-3], atol=1e-12)
 
 
+RADIAL = np.array([[0.02, -0.11, 0.03, 0.01], [0.0, -0.08, 0.02, 0.0], [-0.01, -0.05, 0.0, 0.02]])
+TANGENTIAL = np.array([[0.02, -0.03], [0.0, 0.01], [-0.02, 0.02]])
+
+
+def corrected_places(y, x, row, column, reach, channel):
+    """Where the DNG specification (1.4, WarpRectilinear) has a pixel come from, by complex numbers: with
+    d = (u + i v) and t = t1 + i t0 the tangential part is |d|^2 t + 2 d Re(d conj(t))."""
+    d, t = ((x - column) + 1j * (y - row)) / reach, complex(TANGENTIAL[channel, 1], TANGENTIAL[channel, 0])
+    squared = np.abs(d) ** 2
+    radial = 1 + np.polynomial.Polynomial(RADIAL[channel])(squared)
+    found = radial * d + squared * t + 2 * d * (d * np.conj(t)).real
+    return row + reach * found.imag, column + reach * found.real
+
+
+@pytest.mark.parametrize("sharpness", [0.0, 1.0])
+def test_rectilinear_warp_follows_the_dng_specification(sharpness, x64):
+    image = picture(dtype=float)
+    centre, farthest = np.array([0.4, 0.55]), 1.3
+    params = optics.RectilinearWarp(
+        radial=RADIAL, tangential=TANGENTIAL, centre=centre, farthest=farthest, sharpness=sharpness
+    )
+    out = apply(params, image)
+    row, column = centre * (H - 1, W - 1)
+    y, x = np.mgrid[:H, :W].astype(float)
+    for channel in range(3):
+        places = corrected_places(y, x, row, column, farthest * np.hypot(H - 1, W - 1) / 2, channel)
+        inside = (
+            np.abs(np.subtract(places, np.array(CENTRE)[:, None, None])) < [[[H / 2 - 3]], [[W / 2 - 3]]]
+        ).all(0)
+        down, across = (weights(p, n, sharpness) for p, n in zip(places, (H, W)))
+        want = np.einsum("hwa,hwb,ab->hw", down, across, image[..., channel])
+        assert inside.mean() > 0.4
+        np.testing.assert_allclose(out[..., channel][inside], want[inside], atol=1e-12)
+
+
+def test_a_part_of_a_frame_is_corrected_as_the_frame(x64):
+    """Centre and reach are told from the part."""
+    image = picture(dtype=float)
+    polynomials = {"radial": 0.2 * RADIAL, "tangential": 0.2 * TANGENTIAL}
+    part = image[4:, 6:-5]
+    shares = (0.5 * np.subtract((H, W), 1) - (4, 6)) / np.subtract(part.shape[:2], 1)
+    ratio = np.hypot(H - 1, W - 1) / np.hypot(*np.subtract(part.shape[:2], 1))
+    whole = apply(optics.RectilinearWarp(**polynomials), image)[4:, 6:-5]
+    own = apply(optics.RectilinearWarp(**polynomials, centre=shares, farthest=ratio), part)
+    np.testing.assert_allclose(own[4:-4, 4:-4], whole[4:-4, 4:-4], atol=1e-12)
+
+
 @pytest.mark.parametrize(("red", "blue"), [(0.975, 1.0), (1.01, 0.99)])
 def test_color_magnification_reads_by_cubic_convolution(red, blue, x64):
     """`jax.image` has the same kernel; at borders it weighs what is there."""
@@ -142,7 +196,9 @@ def test_color_magnification_reads_by_cubic_convolution(red, blue, x64):
         np.testing.assert_allclose(out[3:-3, 3:-3, channel], want[3:-3, 3:-3], atol=1e-9)
 
 
-@pytest.mark.parametrize("params", [optics.RadialWarp(), optics.ColorMagnification()])
+@pytest.mark.parametrize(
+    "params", [optics.RadialWarp(), optics.RectilinearWarp(), optics.ColorMagnification()]
+)
 def test_a_warp_that_moves_nothing_is_the_identity(params):
     image = 4 * picture() - 1
     np.testing.assert_array_equal(apply(params, image), image)

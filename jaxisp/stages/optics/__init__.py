@@ -25,7 +25,14 @@ from jaxisp.stages.optics.light import (
     veiling_glare,
     vignetting,
 )
-from jaxisp.stages.optics.warps import ColorMagnification, RadialWarp, color_magnification, radial_warp
+from jaxisp.stages.optics.warps import (
+    ColorMagnification,
+    RadialWarp,
+    RectilinearWarp,
+    color_magnification,
+    radial_warp,
+    rectilinear_warp,
+)
 
 __all__ = [
     "AffineExposure",
@@ -35,6 +42,7 @@ __all__ = [
     "GeometricDistortion",
     "LateralChromaticAberration",
     "RadialWarp",
+    "RectilinearWarp",
     "VeilingGlare",
     "Vignetting",
     "affine_exposure",
@@ -44,6 +52,7 @@ __all__ = [
     "geometric_distortion",
     "lateral_chromatic_aberration",
     "radial_warp",
+    "rectilinear_warp",
     "veiling_glare",
     "vignetting",
 ]

@@ -49,8 +49,71 @@ def radial_warp(params: RadialWarp, image: LinearRGB) -> LinearRGB:
     """
     y, x = from_centre(image.shape, image.dtype)
     change = radius_squared(image.shape, image.dtype) * jnp.asarray(params.k1, image.dtype)
-    dy, dx = change * y, change * x
-    sharpness = jnp.asarray(params.sharpness, image.dtype)
+    return _read(image, change * y, change * x, params.sharpness)
+
+
+@parameters
+class RectilinearWarp:
+    """The lens correction that a DNG states, for the image or a part of it."""
+
+    radial: Leaf = param(
+        ((0.0,) * 4,) * 3, (-2.0, 2.0), "1", doc="k0 less 1, k1, k2 and k3 of red, green and blue"
+    )
+    tangential: Leaf = param(((0.0,) * 2,) * 3, (-1.0, 1.0), "1", doc="t0 and t1 of red, green and blue")
+    centre: Leaf = param(
+        (0.5, 0.5),
+        (-2.0, 3.0),
+        "1",
+        doc="its row and column, 0 at the first pixel's centre and 1 at the last's",
+    )
+    farthest: Leaf = param(
+        1.0, (0.2, 50.0), "1", log=True, doc="from it to where r = 1, in halves of the image's diagonal"
+    )
+    sharpness: Leaf = param(1.0, (0.0, 2.0), "1", doc=_SHARPNESS)
+
+
+@register
+def rectilinear_warp(params: RectilinearWarp, image: LinearRGB) -> LinearRGB:
+    """Correct a lens by the polynomials that a DNG has for each colour, radial and tangential.
+
+    `y_c(p) = x_c(centre + d (k0 + k1 r**2 + k2 r**4 + k3 r**6) + t)`, where d = p - centre, r is its length
+    in units of m, the distance to the farthest corner of the whole frame, and, down and across, with
+    (v, u) = d / m, `t = m (2 t1 v u + t0 (r**2 + 2 v**2), 2 t0 v u + t1 (r**2 + 2 u**2))`; x is read between
+    its pixels as in `radial_warp`.
+
+    Args:
+        params: polynomials, which at 0 leave the image as it is, bit for bit; where they are centred, and how
+            far they reach; sharpness.
+        image: (H, W, 3) linear light, any range.
+
+    Returns:
+        (H, W, 3) linear light, beyond the range of the image beside edges. Outside the image its border
+        pixels go on.
+
+    Gradient: exact (where a sample falls on a pixel, that of the side of larger coordinates).
+
+    Source: Digital Negative specification 1.4, WarpRectilinear; Keys 1981.
+    """
+    size = jnp.array(image.shape[:2], image.dtype)
+    reach = jnp.asarray(params.farthest, image.dtype) * jnp.maximum(jnp.hypot(*(size - 1)) / 2, 1)
+    row, column = jnp.asarray(params.centre, image.dtype) * (size - 1)
+    v = ((jnp.arange(image.shape[0], dtype=image.dtype) - row) / reach)[:, None]
+    u = ((jnp.arange(image.shape[1], dtype=image.dtype) - column) / reach)[None]
+    r2 = v * v + u * u
+
+    def corrected(plane: jax.Array, k: jax.Array, t: jax.Array) -> jax.Array:
+        change = k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3]))
+        dy = change * v + 2 * t[1] * v * u + t[0] * (r2 + 2 * v * v)
+        dx = change * u + 2 * t[0] * v * u + t[1] * (r2 + 2 * u * u)
+        return _read(plane[..., None], reach * dy, reach * dx, params.sharpness)[..., 0]
+
+    polynomials = (jnp.asarray(p, image.dtype) for p in (params.radial, params.tangential))
+    return jnp.stack([corrected(*own) for own in zip(planes(image), *polynomials)], axis=-1)
+
+
+def _read(image: jax.Array, dy: jax.Array, dx: jax.Array, sharpness: Leaf) -> jax.Array:
+    """(H, W, C) read at each pixel's own place plus (dy, dx), (H, W) both."""
+    sharpness = jnp.asarray(sharpness, image.dtype)
     down, across = (_overshoot(d, axis, sharpness)[..., None] for axis, d in ((0, dy), (1, dx)))
     by_row, by_column = _second_difference(image, 0), _second_difference(image, 1)
     whole = jnp.concatenate([image, by_row, by_column, _second_difference(by_row, 1)], -1)

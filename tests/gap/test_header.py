@@ -1,0 +1,105 @@
+"""What a RAW file's header says of its lens is put before the pairs, not inferred."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+from experiments.withheld.scenes import scenes
+from jaxisp.gap.diagnose import raw_case
+from jaxisp.gap.effects import EFFECTS
+from jaxisp.gap.frame import in_one_frame
+from jaxisp.gap.header import stated_warp
+from jaxisp.io import read_raw
+from jaxisp.io.datasets import open_dataset
+from jaxisp.io.dng import write_dng
+from jaxisp.io.opcodes import FixVignetteRadial, Opcode, WarpRectilinear
+
+SIZE = 160
+TERMS = np.array(
+    [[1.004, -0.03, 0.008, 0, 0.002, -0.001], [1, -0.03, 0.008, 0, 0.002, -0.001], [1, -0.032, 0, 0, 0, 0]]
+)
+WARP = WarpRectilinear(TERMS, (0.52, 0.47))
+VIGNETTE = FixVignetteRadial(np.array([0.4, 0.1, 0, 0, 0]), (0.5, 0.5))
+
+
+def corrected(linear: np.ndarray) -> np.ndarray:
+    """A camera's correction by SciPy's splines, of vignetting and then of distortion, both about the same."""
+    y, x = np.indices(linear.shape[:2]).astype(float)
+    end = SIZE - 1
+    squared = ((y - end / 2) ** 2 + (x - end / 2) ** 2) / (end**2 / 2)
+    linear = linear * (1 + 0.4 * squared + 0.1 * squared**2)[..., None]
+    column, row = (end * c for c in WARP.center)
+    reach = np.hypot(max(column, end - column), max(row, end - row))
+    v, u = (y - row) / reach, (x - column) / reach
+    r2, out = v * v + u * u, []
+    for (k0, k1, k2, k3, t0, t1), plane in zip(TERMS, np.moveaxis(linear, -1, 0)):
+        factor = k0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        down = factor * v + t1 * 2 * u * v + t0 * (r2 + 2 * v * v)
+        across = factor * u + t0 * 2 * u * v + t1 * (r2 + 2 * u * u)
+        places = [row + reach * down, column + reach * across]
+        out.append(ndimage.map_coordinates(plane, places, order=3, mode="nearest"))
+    return np.stack(out, -1)
+
+
+def shoot(folder: Path, stated: Sequence[Opcode]) -> Path:
+    """Three RAW+JPEG pairs by NumPy, OpenCV, SciPy and Pillow."""
+    folder.mkdir()
+    for name, scene in list(scenes("one", SIZE).items())[:3]:
+        levels = np.rint(64 + 3000 * 0.8 * scene).astype(np.uint16)
+        mosaic = levels[..., 1].copy()
+        mosaic[::2, ::2], mosaic[1::2, 1::2] = levels[::2, ::2, 0], levels[1::2, 1::2, 2]
+        write_dng(
+            folder / f"{name}.dng",
+            mosaic,
+            cfa="RGGB",
+            black=(64,),
+            white=3064,
+            color_matrix=None,
+            opcodes_3=stated,
+        )
+        rgb = cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB) - 64.0
+        linear = np.clip(corrected(rgb / 3000), 0, 1)
+        encoded = np.where(
+            linear < 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+        )
+        Image.fromarray(np.rint(255 * encoded).astype(np.uint8)).save(
+            folder / f"{name}.jpg", quality=95, subsampling=0
+        )
+    return folder
+
+
+def error(folder: Path) -> float:
+    """What the fitted base leaves, in floors."""
+    laid = in_one_frame([pair.load() for pair in open_dataset(folder).pairs])
+    case = raw_case(laid.kept, None, sorted(EFFECTS), lambda *_: None)
+    assert len(laid.kept) == 3
+    return float(np.mean(case.problem.errors(case.problem.z)) / np.mean(case.floors))
+
+
+def test_a_stated_lens_is_no_gap(tmp_path: Path) -> None:
+    """Corrections of 3 px and of half of the light, in the corners, are put before the pairs; either alone is a gap."""
+    found = {}
+    for name, stated in {"all": [VIGNETTE, WARP], "warp": [WARP], "vignetting": [VIGNETTE]}.items():
+        found[name] = error(shoot(tmp_path / name, stated))
+    assert found["all"] < 1.4 and min(found["warp"], found["vignetting"]) > 2 * found["all"], found
+
+
+def test_the_lens_of_a_part(tmp_path: Path) -> None:
+    """Its centre and its farthest corner are the frame's."""
+    raw = read_raw(next(shoot(tmp_path / "pairs", [VIGNETTE, WARP]).glob("*.dng")))
+    whole = stated_warp(raw)
+    assert whole is not None
+    np.testing.assert_allclose(whole.centre, (0.47, 0.52), rtol=1e-6)
+    np.testing.assert_allclose(whole.radial, TERMS[:, :4] - [[1, 0, 0, 0]], rtol=1e-4, atol=1e-7)
+    part = stated_warp(raw, (16, 32), (64, 64))
+    cut = stated_warp(dataclasses.replace(raw, mosaic=raw.mosaic[16:80, 32:96], crop=(16, 32, 64, 64)))
+    assert part is not None and cut is not None
+    for own in (part, cut):
+        np.testing.assert_allclose(own.centre * 63 + (16, 32), whole.centre * (SIZE - 1), rtol=1e-5)
+        np.testing.assert_allclose(own.farthest * 63, whole.farthest * (SIZE - 1), rtol=1e-5)
+    assert stated_warp(dataclasses.replace(raw, warp=None)) is None
