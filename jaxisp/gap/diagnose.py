@@ -14,6 +14,7 @@ from jaxisp.gap.ceiling import reducible
 from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import Laid, in_one_frame
+from jaxisp.gap.header import of_one_sampling
 from jaxisp.gap.measured import Case, Downstream, Gap, Rows, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_pairs import on_each_other
@@ -183,7 +184,8 @@ def _case(
             "do not have; give clean+noisy pairs"
         )
     read, failed = _load(found.pairs)
-    failed = [(path.name, f"{path}: {reason}") for path, reason in found.problems] + failed
+    read, odd = of_one_sampling(read)
+    failed = [(path.name, f"{path}: {reason}") for path, reason in found.problems] + failed + odd
     laid = in_one_frame(read) if found.kind == RAW_JPEG else on_each_other(read)
     laid = laid._replace(failed=failed + laid.failed)
     loaded = 2 * laid.kept if len(laid.kept) == 1 else laid.kept  # one's tiles are told apart by masks

@@ -1,8 +1,12 @@
-"""What the header of a RAW file says of its lens."""
+"""What the headers of files say, that one base must hold for."""
+
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from jaxisp.io import Raw
+from jaxisp.io.datasets import Loaded
 from jaxisp.io.opcodes import optical_centre
 from jaxisp.stages.optics import RectilinearWarp
 
@@ -30,3 +34,20 @@ def stated_warp(
         centre=np.float32((centre - first) / size),
         farthest=np.float32(2 * max(farthest, 1.0) / np.hypot(*size)),
     )
+
+
+def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[str, str]]]:
+    """The pairs whose chroma is sampled as that of most is, and (name, reason) of the others: where the base
+    stores its pictures the header decides. Of as many the first's."""
+    stated = [_sampling(pair) for pair in loaded]
+    usual = Counter(stated).most_common(1)[0][0]
+    odd = [
+        (pair.name, f"{pair.name}: is of another kind ({own}) than most ({usual}); diagnose them apart")
+        for pair, own in zip(loaded, stated)
+        if own != usual
+    ]
+    return [pair for pair, own in zip(loaded, stated) if own == usual], odd
+
+
+def _sampling(pair: Loaded) -> str:
+    return f"JPEG, {pair.jpeg.subsampling}" if pair.jpeg else "no JPEG"

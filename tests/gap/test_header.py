@@ -13,7 +13,7 @@ from experiments.withheld.scenes import scenes
 from jaxisp.gap.diagnose import raw_case
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.frame import in_one_frame
-from jaxisp.gap.header import stated_warp
+from jaxisp.gap.header import of_one_sampling, stated_warp
 from jaxisp.io import read_raw
 from jaxisp.io.datasets import open_dataset
 from jaxisp.io.dng import write_dng
@@ -82,11 +82,27 @@ def error(folder: Path) -> float:
 
 
 def test_a_stated_lens_is_no_gap(tmp_path: Path) -> None:
-    """Corrections of 3 px and of half of the light, in the corners, are put before the pairs; either alone is a gap."""
+    """Corrections of 3 px and of half of the light are put before the pairs; either alone is a gap."""
     found = {}
     for name, stated in {"all": [VIGNETTE, WARP], "warp": [WARP], "vignetting": [VIGNETTE]}.items():
         found[name] = error(shoot(tmp_path / name, stated))
     assert found["all"] < 1.4 and min(found["warp"], found["vignetting"]) > 2 * found["all"], found
+
+
+def test_a_file_that_samples_chroma_otherwise_is_left_out(tmp_path: Path) -> None:
+    """One base cannot hold for both; the reason names the file and what is to be done."""
+    folder = shoot(tmp_path / "pairs", [])
+    names = sorted(path.stem for path in folder.glob("*.jpg"))
+    with Image.open(folder / f"{names[0]}.jpg") as picture:
+        picture.save(folder / f"{names[0]}.jpg", quality=95, subsampling=2)
+    loaded = [pair.load() for pair in open_dataset(folder).pairs]
+    kept, ((name, reason),) = of_one_sampling(loaded)
+    assert sorted(pair.name for pair in kept) == names[1:] and name == names[0]
+    for words in (name, "JPEG, 4:2:0", "JPEG, 4:4:4", "apart"):
+        assert words in reason
+    as_png = [dataclasses.replace(pair, jpeg=None) for pair in loaded]
+    assert of_one_sampling(as_png) == (as_png, [])
+    assert "no JPEG" in of_one_sampling([as_png[0], *loaded[1:]])[1][0][1]
 
 
 def test_the_lens_of_a_part(tmp_path: Path) -> None:
