@@ -18,8 +18,20 @@ from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.outside import AXES as OUTSIDE_AXES
 from experiments.withheld.scenes import SETS, clutter, scenes
 from experiments.withheld.shoot import write
-from experiments.withheld.study import _TOO_SMALL, cases, counted, examine, kept, parse, run, true_closure
+from experiments.withheld.study import (
+    _TOO_SMALL,
+    Case,
+    _plain,
+    cases,
+    counted,
+    examine,
+    kept,
+    parse,
+    run,
+    true_closure,
+)
 from experiments.withheld.tables import markdown, wilson
+from experiments.withheld.targets import targets
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.verdict import NULL_DROP
 
@@ -289,6 +301,45 @@ def test_tables_count_what_was_said() -> None:
     assert "| luma_denoising would close 0.50 and leave 2 on lag |" in text and "| prnu closes " in text
     low, high = wilson(2, 100)
     assert abs(low - 0.0055) < 1e-3 and abs(high - 0.0700) < 1e-3
+
+
+def test_what_must_be_reached_stands_beside_what_was() -> None:
+    def record(split: str, *names: str, said: str = "effect", kind: str = "raw+jpeg", **more: object) -> dict:
+        case = {"case": f"{kind} {split} {names} {more}", "kind": kind, "split": split, "body": "alder"}
+        case |= {"effects": [[n, 4] for n in names], "scenes": "one", "standing": [], "seconds": 2.0}
+        return case | kept(report(said, *(names if said == "effect" else ()))) | more
+
+    sealed = [
+        record("sealed", "prnu", true_closure=0.8),  # closes 0.7 [0.6, 0.9]
+        record("sealed", "sharpening", true_closure=1.0),
+        record("sealed", "vignetting", said="unknown", true_closure=1.0),
+        record("sealed", "prnu", said="none", gap={"before": 1.9, "floor": 1.0}),  # near the floor
+        record("sealed", "tone_curve", said="none"),  # the base's own
+    ]
+    pairs = [record("pairs", "prnu", "sharpening"), record("pairs", "prnu", "row_noise", kind="clean+noisy")]
+    alone = [record("alone", name) for name in ("prnu", "sharpening")]
+    nulls = [record("nulls", "nothing", said="none"), record("nulls", "cropped", said="none")]
+    strangers = [record("outside", "flicker", said="unknown", where=["row"])]
+    lines = targets([*sealed, *pairs, *alone, *nulls, *strangers]).splitlines()
+    found = {line.split(" | ")[0][2:]: line.split(" | ")[1:-1] for line in lines[2:]}
+    assert "RAW+JPEG, sealed" in lines[0] and "clean+noisy, develop" in lines[0]
+    first, _, other, _ = found["right effect first"]
+    assert first == "2 of 3: 67 % [21, 94]" and other == "not run"
+    assert found["closed, of what the effect made, median"][0] == "0.79 (2)"
+    assert found["how far off the refit is, median"][0] == "0.20 (2)"
+    assert found["what the effect made is in the 90 % interval"][0].startswith("1 of 2")
+    assert found['what a base takes up: absorbed or "none"'][0].startswith("1 of 1")
+    assert found['outside the vocabulary: "unknown"'][0].startswith("1 of 1")
+    assert found["named where nothing is missing"][0].startswith("0 of 2")
+    both = found["two effects, either alone twice the floor: both found"]
+    assert both[0].startswith("1 of 1") and both[2] == "not run", "nobody looked at either alone"
+
+
+def test_a_case_is_compared_with_one_in_a_file_like_its_own() -> None:
+    names = {"jpeg_quantization": "lossless", "prnu": "nothing"}
+    for name, plain in names.items():
+        compared = _plain({"kind": "clean+noisy", "body": "elm", "scenes": "two", "effects": [[name, 3]]})
+        assert compared == Case("clean+noisy", "nulls", "elm", ((plain, 1),), "two")
 
 
 def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path) -> None:

@@ -20,7 +20,19 @@ from typing import Any
 
 from . import libraw, shoot
 from .bodies import BODIES, LATER
-from .effects import DEVELOP, KINDS, LEVELS, NULLS, OUTSIDE, PAIRED, PAIRS, SEALED, VOCABULARY, shows_in
+from .effects import (
+    DEVELOP,
+    KINDS,
+    LEVELS,
+    NULLS,
+    OUTSIDE,
+    PAIRED,
+    PAIRS,
+    SEALED,
+    VOCABULARY,
+    shows_in,
+    without_header,
+)
 from .scenes import SETS
 
 _CASES = 12  # of one process: programs for every camera that it has seen come to gigabytes
@@ -212,7 +224,9 @@ def _examined(left: Sequence[Case], diagnose: Diagnose, jobs: int, options: dict
 
 
 def _plain(record: dict[str, Any]) -> Case:
-    return Case(record["kind"], "nulls", record["body"], (("nothing", 1),), record["scenes"])
+    """The same pictures without the effect, in a file that is compressed if theirs is."""
+    name = "lossless" if without_header(dict(record["effects"])) else "nothing"
+    return Case(record["kind"], "nulls", record["body"], ((name, 1),), record["scenes"])
 
 
 def chosen(arguments: argparse.Namespace) -> list[Case]:
