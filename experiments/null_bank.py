@@ -1,6 +1,7 @@
-"""The null bank: how large each axis is for cameras that lack nothing, from results of `study --split nulls`.
+r"""The null bank: how large each axis is for cameras that lack nothing, from results of `study`.
 
-    python -m experiments.null_bank docs/results/withheld-17-nulls.json -o jaxisp/gap/nulls.json
+    python -m experiments.null_bank docs/results/withheld-17-nulls.json docs/results/withheld-20-frames.json \
+        -o jaxisp/gap/nulls.json
 
 Prints how often a camera of one body would be said to have an axis beyond the bank that the others make.
 """
@@ -27,7 +28,8 @@ LEAST = 0.02
 def bank_of(nulls: Sequence[Sizes]) -> dict[str, Any]:
     """Of each axis what 95 % of these stay below, and of each the most times that an axis has that."""
     axes = sorted({axis for sizes in nulls for axis in sizes})
-    usual = {a: max(float(np.percentile([s.get(a, 0.0) for s in nulls], BEYOND)), LEAST) for a in axes}
+    found = {axis: [sizes[axis] for sizes in nulls if axis in sizes] for axis in axes}  # not all have frames
+    usual = {axis: max(float(np.percentile(own, BEYOND)), LEAST) for axis, own in found.items()}
     largest = sorted(max(size / usual[axis] for axis, size in sizes.items()) for sizes in nulls)
     return {
         "usual": {axis: round(size, 4) for axis, size in usual.items()},

@@ -16,7 +16,7 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.null_bank import bank
 from jaxisp.gap.rows import HIDDEN
 
-pytestmark = pytest.mark.optimised
+pytestmark = [pytest.mark.optimised, pytest.mark.apart]
 
 BODY = "birch"
 
