@@ -27,7 +27,9 @@ def stated_warp(
     centre, farthest = optical_centre(raw.warp.center, (bottom - top, right - left))
     first = np.add(raw.crop[:2], start)
     size = np.maximum(np.subtract(shape or np.subtract(raw.mosaic.shape, start), 1), 1)
-    polynomials = np.broadcast_to(raw.warp.coefficients[:3], (3, 6)).astype(np.float32)
+    terms = raw.warp.coefficients
+    terms = terms[:3] if len(terms) >= 3 else terms[:1]  # of each colour, or of all
+    polynomials = np.broadcast_to(terms, (3, 6)).astype(np.float32)
     return RectilinearWarp(
         radial=polynomials[:, :4] - np.eye(1, 4, dtype=np.float32),
         tangential=polynomials[:, 4:],

@@ -12,6 +12,7 @@ from jaxisp.errors import InputError
 
 _WARP_RECTILINEAR, _FIX_VIGNETTE_RADIAL, _GAIN_MAP = 1, 3, 9
 _MOST_OPCODES, _MOST_POINTS = 256, 1024  # of a list, of a map along one axis: far above what cameras write
+_LARGEST_TERM = 1e3  # of a lens: far above what any needs, and far below what overflows
 _GAIN_MAP_HEAD = struct.Struct(">10L4dL")
 
 
@@ -171,14 +172,20 @@ def _parse_warp(body: bytes) -> WarpRectilinear:
     if not 1 <= planes <= 4:
         raise ValueError(f"WarpRectilinear of {planes} planes")
     values = struct.unpack_from(f">{6 * planes + 2}d", body, 4)
-    _check_finite(values)
+    _check_terms(values)
     return WarpRectilinear(np.array(values[:-2]).reshape(planes, 6), (values[-2], values[-1]))
 
 
 def _parse_vignette(body: bytes) -> FixVignetteRadial:
     values = struct.unpack_from(">7d", body)
-    _check_finite(values)
+    _check_terms(values)
     return FixVignetteRadial(np.array(values[:5]), (values[5], values[6]))
+
+
+def _check_terms(values: Any) -> None:
+    _check_finite(values)
+    if np.abs(values).max() > _LARGEST_TERM:
+        raise ValueError(f"a lens with a term of {np.abs(values).max():g}")
 
 
 def _check_finite(values: Any) -> None:

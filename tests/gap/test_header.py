@@ -119,3 +119,6 @@ def test_the_lens_of_a_part(tmp_path: Path) -> None:
         np.testing.assert_allclose(own.centre * 63 + (16, 32), whole.centre * (SIZE - 1), rtol=1e-5)
         np.testing.assert_allclose(own.farthest * 63, whole.farthest * (SIZE - 1), rtol=1e-5)
     assert stated_warp(dataclasses.replace(raw, warp=None)) is None
+    alike = stated_warp(dataclasses.replace(raw, warp=WarpRectilinear(TERMS[:1], WARP.center)))
+    assert alike is not None
+    np.testing.assert_array_equal(alike.radial, [whole.radial[0]] * 3)

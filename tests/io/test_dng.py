@@ -79,6 +79,14 @@ def test_damaged_opcodes_raise_input_error(at, value):
         parse_opcodes(good[:-1])
 
 
+@pytest.mark.parametrize("lens", [FixVignetteRadial, WarpRectilinear])
+def test_a_lens_that_no_light_comes_through_raises(lens):
+    """Finite terms that would overflow where they are used."""
+    terms = np.full(5 if lens is FixVignetteRadial else (1, 6), -1e30)
+    with pytest.raises(InputError, match="a lens with a term of 1e\\+30"):
+        parse_opcodes(pack_opcodes([lens(terms, (0.5, 0.5))]))
+
+
 def test_numbers_that_float32_does_not_hold_are_no_second_line(rng):
     """A signalling NaN, and a spacing by which everything is infinitely far: no warning beside the error."""
     gains = rng.uniform(1, 2, (3, 4, 1))
