@@ -3,10 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
-PYTEST := $(BIN)/python -m pytest -n 2
-QUICK := JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-# a file's fixtures take long: one worker takes all of its tests
-OPTIMISED := $(PYTEST) --dist loadgroup
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 
@@ -15,12 +12,12 @@ demo: $(READY)
 
 # most programs run once and compile quickly; tests marked `optimised` compile as users do
 test: $(READY)
-	$(QUICK)
-	$(OPTIMISED) -m "not slow and optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
+	$(PYTEST) -m "not slow and optimised"
 
 test-all: $(READY)
-	$(QUICK)
-	$(OPTIMISED) -m "slow or optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
+	$(PYTEST) -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -42,15 +42,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 _MOST_MEMORY = 3e9  # bytes
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With `--dist loadgroup` one worker takes all tests of a file, and makes its fixtures once; those that
-    are marked `apart` any worker takes, last."""
-    for item in items:
-        if not any(map(item.get_closest_marker, ("apart", "xdist_group"))):
-            item.add_marker(pytest.mark.xdist_group(str(item.path)))
-
-
 @pytest.fixture(scope="module", autouse=True)
 def room():
     """A worker that has gigabytes of programs and traces forgets them: two such fill a small machine."""

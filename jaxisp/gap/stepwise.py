@@ -4,7 +4,8 @@ Works on anything that has the columns and errors of a `Problem`, residuals or s
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ class Terms(NamedTuple):
         again: whether the best of a later step are fitted once more, all columns anew: the base there has
             imitated what was missing.
         visible: of `hidden`.
+        bars: as `least`, of effects that must close more than others.
     """
 
     least: float
@@ -60,6 +62,7 @@ class Terms(NamedTuple):
     plainly: float = np.inf
     again: bool = False
     visible: float = 0.0
+    bars: Mapping[str, float] = MappingProxyType({})
 
 
 class Searched(NamedTuple):
@@ -152,7 +155,8 @@ def _tried(
     def one(name: str) -> Trial:
         tick(step, terms.most, f"refitting {name}")
         form_only = of_form(name, causes)
-        bar, plainly = max(least, form_only), max(terms.plainly, form_only) if step else np.inf
+        own = max(form_only, terms.bars.get(name, 0.0))
+        bar, plainly = max(least, own), max(terms.plainly, own) if step else np.inf
         return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly)
 
     ranked = sorted(left, key=lambda name: -promises[name])

@@ -91,7 +91,10 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     part, apart = LEAST_CLOSED[kind], APART[kind] * gap.unit / scale
     plainly, again = NULL_DROP[kind] * gap.unit / scale, kind != RAW_JPEG  # whose columns are taken along
     visible = NULL_EXCESS[kind] * gap.unit
-    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again, visible)
+    # on the file's own grid one more compression imitates a little of whatever compresses otherwise
+    model, references = problem.model, set(problem.references)
+    bars = {name: visible / scale for name in model.effects if references & set(model.indices([name]))}
+    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again, visible, bars)
     found = search(problem, case.offered, case.split, whole_of(case, scale), terms, tick)
     steps, trials, promises = found.causes, found.trials, found.promises
     refused: Refused | None = None

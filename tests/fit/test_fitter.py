@@ -21,7 +21,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
 
-pytestmark = [pytest.mark.optimised, pytest.mark.xdist_group("fitter")]
+pytestmark = pytest.mark.optimised
 
 
 def psnr(a, b):

@@ -19,7 +19,7 @@ from jaxisp.samples import scene
 from jaxisp.stages.choice import ChromaSubsampling
 from tests.fit.test_fitter import psnr
 
-pytestmark = [pytest.mark.optimised, pytest.mark.xdist_group("fitter")]  # whose fit they start from
+pytestmark = pytest.mark.optimised  # the fit that they start from is the fitter's tests' own
 
 
 @pytest.mark.slow

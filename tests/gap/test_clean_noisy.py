@@ -30,7 +30,7 @@ from jaxisp.io.settings import Settings
 from jaxisp.pipeline import Chain, run, stage
 from tests.conftest import smooth_image
 
-pytestmark = [pytest.mark.optimised, pytest.mark.apart]
+pytestmark = pytest.mark.optimised
 
 COUNT, SIZE = 4, 128
 TRIED = ("vignetting", "optical_blur", "row_noise", "column_noise", "correlated_noise", "film_grain",

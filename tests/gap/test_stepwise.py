@@ -66,6 +66,15 @@ def test_a_lookalike_of_a_cause_is_asked_for_more_than_its_form_may_cost(monkeyp
     assert names == ["luma_denoising"] and max(asked) == pytest.approx(0.16)
 
 
+def test_an_effect_that_imitates_others_has_a_bar_of_its_own(monkeypatch):
+    closes = {"saturation": (0.8, 0.05), "double_compression": (0.17, 0.08)}
+    terms = Terms(0.07, 3, plainly=0.05)
+    assert searched(monkeypatch, closes, terms)[0] == list(closes)
+    terms = terms._replace(bars={"double_compression": 0.3})
+    names, asked = searched(monkeypatch, closes, terms)
+    assert names == ["saturation"] and 0.3 in asked and 0.07 in asked
+
+
 def test_the_two_best_of_a_later_step_are_fitted_anew_from_both_bases(monkeypatch):
     """What leaves the least on the fitted pairs stays, wherever it began; of the others as it was."""
     first, begun = np.array([0.0, 0.0]), []

@@ -17,8 +17,13 @@ def trial(effect, z, before, after, choice=None):
 
 
 class Model:
+    effects = ("prnu", "double_compression")
+
     def __init__(self, *choices):
         self.choices = choices
+
+    def indices(self, names):
+        return [self.effects.index(name) for name in names]
 
     def chosen(self, choice):
         return Model(*self.choices, choice)
@@ -26,7 +31,7 @@ class Model:
 
 class Problem:
     def __init__(self):
-        self.model, self.z = Model(), np.zeros(1)
+        self.model, self.z, self.references = Model(), np.zeros(1), {}
 
     def move_to(self, z):
         self.z = z
@@ -68,6 +73,18 @@ def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
     monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
     case = Case("clean+noisy", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
     assert searched(case, Gap(1.5, 1.0), lambda *tick: None).causes == []
+
+
+@pytest.mark.parametrize(("references", "bars"), [({}, {}), ({1: 92.0}, {"double_compression": 0.1})])
+def test_what_the_file_does_anyway_must_close_more_than_half_a_floor(monkeypatch, references, bars):
+    asked = []
+    monkeypatch.setattr(verdict, "search", lambda *given: asked.append(given[4]) or Searched([], {}, {}, []))
+    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(0.0, []))
+    monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
+    case = Case("raw+jpeg", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
+    case.problem.references = references
+    searched(case, Gap(60.0, 10.0), lambda *tick: None)
+    assert asked[0].bars == bars
 
 
 @pytest.mark.parametrize(("kind", "least"), [("raw+jpeg", 4.0), ("clean+noisy", 0.0)])
