@@ -335,6 +335,16 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     assert both[0].startswith("1 of 1") and both[2] == "not run", "nobody looked at either alone"
 
 
+def test_a_case_that_fails_says_where_without_a_path() -> None:
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        raise ValueError("no")
+
+    found = examine(next(cases("raw+jpeg", "sealed", ["alder"], [1])), diagnosis, size=64, count=2)
+    assert found["failed"] == "ValueError('no')"
+    assert found["trace"][-1].startswith("test_withheld.py:") and found["trace"][-1].endswith(" diagnosis")
+    assert "/" not in "".join(found["trace"])
+
+
 def test_a_case_is_compared_with_one_in_a_file_like_its_own() -> None:
     names = {"jpeg_quantization": "lossless", "prnu": "nothing"}
     for name, plain in names.items():

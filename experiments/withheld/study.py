@@ -115,7 +115,9 @@ def examine(
             began = time.perf_counter()
             report = _report(case, Path(folder), diagnose)
         except Exception as error:
-            return record | {"failed": repr(error), "trace": traceback.format_exc(limit=4)}
+            places = traceback.extract_tb(error.__traceback__, limit=-4)  # no paths: results are published
+            trace = [f"{Path(own.filename).name}:{own.lineno} {own.name}" for own in places]
+            return record | {"failed": repr(error), "trace": trace}
         record["seconds"] = round(time.perf_counter() - began, 2)
     record |= kept(report)
     if case.split == "nulls" or case.split not in _WITHOUT_TRUTH:
