@@ -324,15 +324,15 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     found = {line.split(" | ")[0][2:]: line.split(" | ")[1:-1] for line in lines[2:]}
     assert "RAW+JPEG, sealed" in lines[0] and "clean+noisy, develop" in lines[0]
     first, _, other, _ = found["right effect first"]
-    assert first == "2 of 3: 67 % [21, 94]" and other == "not run"
+    assert first == "67% [21%, 94%] (2/3)" and other == "– (0)"
     assert found["closed, of what the effect made, median"][0] == "0.79 (2)"
     assert found["how far off the refit is, median"][0] == "0.20 (2)"
-    assert found["what the effect made is in the 90 % interval"][0].startswith("1 of 2")
-    assert found['what a base takes up: absorbed or "none"'][0].startswith("1 of 1")
-    assert found['outside the vocabulary: "unknown"'][0].startswith("1 of 1")
-    assert found["named where nothing is missing"][0].startswith("0 of 2")
+    assert found["what the effect made is in the 90 % interval"][0].endswith(" (1/2)")
+    assert found['what a base takes up: absorbed or "none"'][0].endswith(" (1/1)")
+    assert found['outside the vocabulary: "unknown"'][0].endswith(" (1/1)")
+    assert found["named where nothing is missing"][0].endswith(" (0/2)")
     both = found["two effects, either alone twice the floor: both found"]
-    assert both[0].startswith("1 of 1") and both[2] == "not run", "nobody looked at either alone"
+    assert both[0].endswith(" (1/1)") and both[2] == "– (0)", "nobody looked at either alone"
 
 
 def test_a_case_that_fails_says_where_without_a_path() -> None:

@@ -366,27 +366,33 @@ def markdown(records: Sequence[Record], head: str = "") -> str:
     return "\n".join(parts)
 
 
+def collected(paths: Iterable[Path]) -> tuple[list[Record], list[str]]:
+    """The cases of all files, and the commands that asked for them."""
+    records: dict[str, Record] = {}
+    commands: list[str] = []
+    for path in paths:
+        found = json.loads(path.read_text())
+        records |= found["cases"]
+        commands += found.get("commands", [])
+    return list(records.values()), commands
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", type=Path, nargs="+")
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--note", default="", help="a sentence about these results")
     arguments = parser.parse_args()
-    records: dict[str, Record] = {}
-    commands: list[str] = []
-    for path in arguments.results:
-        found = json.loads(path.read_text())
-        records |= found["cases"]
-        commands += [f"$study {command}" for command in found.get("commands", [])]
-    levels = {level for r in records.values() if r["split"] == "sealed" for _, level in r["effects"]}
+    records, commands = collected(arguments.results)
+    levels = {level for r in records if r["split"] == "sealed" for _, level in r["effects"]}
     head = HEAD.format(
         strengths=f", strength {' and '.join(map(str, sorted(levels)))}" if levels else "",
         note=f" {arguments.note}" if arguments.note else "",
         results=" ".join(str(path) for path in arguments.results),
-        commands="\n".join(dict.fromkeys(commands)),
+        commands="\n".join(f"$study {command}" for command in dict.fromkeys(commands)),
         page=arguments.out,
     )
-    arguments.out.write_text(markdown(list(records.values()), head))
+    arguments.out.write_text(markdown(records, head))
 
 
 if __name__ == "__main__":

@@ -6,37 +6,36 @@ A case in more than one file counts as the last has it.
 """
 
 import argparse
-import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import mean, median
+from statistics import median
 from typing import Any
 
 from .effects import ABSORBABLE, KINDS
 from .tables import (
     axis_right,
     both_found,
+    collected,
     first_right,
     group_right,
     named,
     plain_to_see,
+    share,
     table,
     taken_up,
     three_right,
     truth,
-    wilson,
     with_each,
 )
 
 Record = dict[str, Any]
 SPLITS = ("sealed", "develop")
-NOT_RUN = "not run"
 HEAD = """# What must be reached
 
 Cameras that share no code with the package, whose effect the diagnosis is not told. Of single effects and of
 strangers those count whose gap is at least twice the floor; effects that a fitted base takes up are counted
-apart. In brackets Wilson's 95 % interval, in per cent; after medians how many cases they are of.
+apart. In brackets Wilson's 95 % interval, and after each figure how many cases it is of.
 
 ```sh
 python -m experiments.withheld.targets {files} -o {page}
@@ -45,18 +44,8 @@ python -m experiments.withheld.targets {files} -o {page}
 """
 
 
-def rate(records: Iterable[Record], hit: Callable[[Record], bool]) -> str:
-    found = [hit(r) for r in records]
-    if not found:
-        return NOT_RUN
-    low, high = wilson(sum(found), len(found))
-    return f"{sum(found)} of {len(found)}: {mean(found):.0%} [{100 * low:.0f}, {100 * high:.0f}]".replace(
-        "%", " %"
-    )
-
-
 def middle(values: Sequence[float], digits: int = 2) -> str:
-    return f"{median(values):.{digits}f} ({len(values)})" if values else NOT_RUN
+    return f"{median(values):.{digits}f} ({len(values)})" if values else "– (0)"
 
 
 def singles(records: Sequence[Record]) -> dict[str, str]:
@@ -73,14 +62,14 @@ def singles(records: Sequence[Record]) -> dict[str, str]:
         return bool(low <= r["true_closure"] <= high)
 
     return {
-        "right effect first": rate(sure, first_right),
-        "with what it cannot be told from": rate(sure, group_right),
-        "among the first three": rate(sure, three_right),
+        "right effect first": share(sure, first_right),
+        "with what it cannot be told from": share(sure, group_right),
+        "among the first three": share(sure, three_right),
         "closed, of what the effect made, median": middle([closed[id(r)] / r["true_closure"] for r in right]),
         "how far off the refit is, median": middle(refit),
         "how far off screening is, median": middle(screen),
-        "what the effect made is in the 90 % interval": rate(right, inside),
-        "what a base takes up: absorbed or \"none\"": rate(
+        "what the effect made is in the 90 % interval": share(right, inside),
+        "what a base takes up: absorbed or \"none\"": share(
             [r for r in records if truth(r)[0] in ABSORBABLE], taken_up
         ),
     }  # fmt: skip
@@ -91,10 +80,10 @@ def others(by: Mapping[str, Sequence[Record]]) -> dict[str, str]:
     strange = [r for r in by["outside"] if plain_to_see(r)]
     pairs = [r for r in by["pairs"] if plain_to_see(r) and all(r["each"])]
     return {
-        "outside the vocabulary: \"unknown\"": rate(strange, lambda r: r["verdict"] == "unknown"),
-        "outside the vocabulary: right axis in the first three": rate(strange, axis_right),
-        "named where nothing is missing": rate(by["nulls"], lambda r: bool(named(r))),
-        "two effects, either alone twice the floor: both found": rate(pairs, both_found),
+        "outside the vocabulary: \"unknown\"": share(strange, lambda r: r["verdict"] == "unknown"),
+        "outside the vocabulary: right axis in the first three": share(strange, axis_right),
+        "named where nothing is missing": share(by["nulls"], lambda r: bool(named(r))),
+        "two effects, either alone twice the floor: both found": share(pairs, both_found),
     }  # fmt: skip
 
 
@@ -142,20 +131,12 @@ def by_body(records: Sequence[Record]) -> str:
     return table(["kind", "split", "cases"], [[*key, ", ".join(found)] for key, found in rows.items()])
 
 
-def collected(paths: Iterable[Path]) -> list[Record]:
-    """The cases of all files."""
-    found: dict[str, Record] = {}
-    for path in paths:
-        found |= json.loads(path.read_text())["cases"]
-    return list(found.values())
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", type=Path, nargs="+")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
-    records = collected(arguments.results)
+    records, _ = collected(arguments.results)
     head = HEAD.format(files=" ".join(map(str, arguments.results)), page=arguments.out)
     arguments.out.write_text(f"{head}{targets(records)}\n{by_body(records)}")
 
