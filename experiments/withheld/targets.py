@@ -44,8 +44,8 @@ python -m experiments.withheld.targets {files} -o {page}
 """
 
 
-def middle(values: Sequence[float], digits: int = 2) -> str:
-    return f"{median(values):.{digits}f} ({len(values)})" if values else "– (0)"
+def middle(values: Sequence[float]) -> str:
+    return f"{median(values):.2f} ({len(values)})" if values else "– (0)"
 
 
 def singles(records: Sequence[Record]) -> dict[str, str]:
