@@ -267,6 +267,7 @@ def raw_case(
     model, absorbed = base.model, base.absorbed
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
+    place = (0, 0)
     if loaded[0].jpeg is not None and "double_compression" in model.effects:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])
         model = prepare.with_earlier_grid(model, place)
@@ -277,7 +278,7 @@ def raw_case(
             seen = ("double_compression",)
     problem = Problem(model, pairs, base.choices, base.rival)
     problem.weigh(problem.robust_weights())
-    problem.references = references
+    problem.references, problem.earlier = references, place
     stated = prepare.stated_by(loaded[0].jpeg)
     if loaded[0].jpeg is None:  # was compressed once, if at all
         stated.add("double_compression")

@@ -74,7 +74,10 @@ class Problem:
             explained by may be what an effect does.
         references: the values of coordinates at which an effect does what the file does anyway, so that
             its gain is counted from there.
+        earlier: the row and column where blocks of an earlier compression began, (0, 0) of none.
     """
+
+    earlier: tuple[int, int] = (0, 0)
 
     def __init__(
         self, model: Model, pairs: Pairs, choices: Sequence[Choice] = (), rival: Choice | None = None
@@ -179,11 +182,21 @@ class Problem:
         return None
 
     def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
-        """The axes by their share of the residual where the problem stands; see `where`."""
-        held, scale = list(held), np.maximum(self.weight[..., :1], 1e-6)
-        residual, weight = (self.residual / scale)[held], self.weight[held][..., 0] ** 2
-        scenes = [scene_name(self.pairs.names[i]) for i in held]
-        return where(residual, self.current[held], weight, scenes=scenes, rng=np.random.default_rng(0))
+        """The axes by their share of the residual where the problem stands; see `where`. All pairs teach."""
+        order = [*held, *(i for i in range(len(self.target)) if i not in set(held))]
+        weight = self.weight[order][..., 0]
+        residual = self.residual[order] / np.maximum(weight[..., None], 1e-6)
+        scenes = [scene_name(self.pairs.names[i]) for i in order]
+        rng = np.random.default_rng(0)
+        return where(
+            residual,
+            self.current[order],
+            weight**2,
+            scenes=scenes,
+            scored=len(held),
+            earlier=self.earlier,
+            rng=rng,
+        )
 
     def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
         """These: of a residual each axis has its own already."""

@@ -1,10 +1,11 @@
 """Where a residual lies: the share of it that each axis explains, on scenes it was not learnt from.
 
 Every axis is a regression of the residual on what that axis says of a pixel: its luma, its radius times its
-value, its place in the 8x8 grid. It is learnt on some scenes and scored on the others, so that a share is
-neither a matter of many bins nor of one scene's layout. What a simpler axis says already is not counted
-twice: the neighbourhood, for one, counts at fixed luma. Significance comes from flipping the signs of whole
-tiles, with the largest of all axes as the reference.
+value, its place in the 8x8 grid. It is learnt on some scenes and scored on others, so that a share is
+neither a matter of many bins nor of one scene's layout; scenes that are not scored at all teach too, for few
+teach little. What a simpler axis says already is not counted twice: the neighbourhood, for one, counts at
+fixed luma, whatever each scene's own curve is. Significance comes from flipping the signs of whole tiles,
+with the largest of all axes as the reference.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,6 +33,8 @@ def where(
     *,
     cfa_period: int = 2,
     scenes: Sequence[str] | None = None,
+    scored: int | None = None,
+    earlier: tuple[int, int] = (0, 0),
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """Rank the axes by the share of the residual that they explain.
@@ -43,6 +46,8 @@ def where(
         weight: (N, h, w) in [0, 1].
         cfa_period: of the colour filter array.
         scenes: the name of the scene that each shows, where several are frames of one.
+        scored: how many are described, the first; the rest only teach. All if None.
+        earlier: the row and column where 8x8 blocks of an earlier compression began; (0, 0) of none.
         rng: for folds and signs.
 
     Returns:
@@ -65,21 +70,23 @@ def where(
     names = list(scenes or range(n))
     order = list(dict.fromkeys(names))
     shown_in = np.array([order.index(name) for name in names])
-    tiles = cut(weight.shape, rng, shown_in)
-    evidence = _Evidence(tiles, cfa_period, shown_in, rng)
+    scored = n if scored is None else scored
+    tiles = cut(weight.shape, rng, shown_in, scored)
+    evidence = _Evidence(tiles, cfa_period, shown_in, scored, earlier, rng)
     for own, shown, counted in zip(residual, picture, weight):
         evidence.add(Scene(shown), own, counted)
-    signs = rng.choice((-1.0, 1.0), (DRAWS + 1, tiles.folds.shape[1]))
+    signs = rng.choice((-1.0, 1.0), (DRAWS + 1, tiles.count))
     signs[0] = 1
     explained = {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
     p_values = _corrected({axis: e.own.sum(1) for axis, e in explained.items()})
-    found, draws = [], Draws.of(names)
+    found, draws = [], Draws.of(names[:scored])
     for axis, e in explained.items():
         energies = np.stack(evidence.energies)[:, int(axis in POLAR_AXES)]
         shares = _shares(e.own[0], np.broadcast_to(e.known, e.own.shape)[0], energies.sum(0))
         share, ci = float(np.clip(shares.sum(), 0, 1)), None
         if draws is not None:
-            parts = e.own_by, np.broadcast_to(e.known_by, e.own_by.shape), energies
+            by = e.own_by[:scored], np.broadcast_to(e.known_by, e.own_by.shape)[:scored]
+            parts = *by, energies
             ci = draws.interval(share, _shares(*map(draws.means, parts)).sum(-1))
         first = {"axis": axis, "share": share, "ci": ci, "p_value": p_values[axis]}
         found.append(first | evidence.profiles.of(axis, shares))
@@ -111,10 +118,19 @@ def _corrected(shares: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 class _Evidence:
-    """The sums of every axis, taken in scene by scene."""
+    """The sums of every axis, taken in scene by scene: those that are scored, then those that only teach."""
 
-    def __init__(self, tiles: Tiles, period: int, scenes: np.ndarray, rng: np.random.Generator) -> None:
-        self._tiles, self._period = tiles, period
+    def __init__(
+        self,
+        tiles: Tiles,
+        period: int,
+        scenes: np.ndarray,
+        scored: int,
+        earlier: tuple[int, int],
+        rng: np.random.Generator,
+    ) -> None:
+        self._tiles, self._period, self._scored = tiles, period, scored
+        scenes = scenes[:scored]
         self._known = features.REGRESSIONS | {"cfa_phase": features.cfa_features(period)}
         self._regressions = {axis: Regression(given) for axis, (_, given) in self._known.items()}
         self._lag = [Regression((1, 1, 1)) for _ in range(3)]
@@ -122,6 +138,8 @@ class _Evidence:
         self._repeated, self._tail = Repeated(scenes), Tail(rng)
         self._changing = Changing(scenes)
         self._bins: dict[str, Bins] = {}
+        self._grids = {grid: _opposite(grid, earlier) for grid in {(0, 0), earlier}}
+        self._blocks = {grid: (Bins(), Bins()) for grid in self._grids}
         self.profiles = Profiles(period)
         self.energies: list[np.ndarray] = []  # (2, 3) of each, by channel; chroma plain, and in polar form
         self._scenes = len(set(scenes))
@@ -130,8 +148,6 @@ class _Evidence:
     def add(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
         """One scene: residual (h, w, 3), weight (h, w)."""
         polar = scene.polar(residual)
-        squares = (weight[..., None] * a**2 for a in (residual, polar))
-        self.energies.append(np.stack([s.sum((0, 1), dtype=np.float64) for s in squares]))
         for axis, (build, _) in self._known.items():
             self._regressions[axis].add(
                 build(scene), polar if axis in POLAR_AXES else residual, weight, self._tiles
@@ -139,8 +155,14 @@ class _Evidence:
         self._add_places(scene, residual, weight)
         self._add_blocks(scene, residual * weight[..., None])
         flat = _flat(scene.edge, weight)
+        self._add_lags(residual, flat)
+        if len(self.energies) == self._scored:
+            return
+        squares = (weight[..., None] * a**2 for a in (residual, polar))
+        self.energies.append(np.stack([s.sum((0, 1), dtype=np.float64) for s in squares]))
         detail = residual - np.stack([features.ring(residual[..., c]) for c in range(3)], -1)
-        self._add_noise(residual, detail, flat)
+        self._add_tail(detail, flat)
+        self._add_lines(residual, weight)
         self._repeated.add(_unlocked(detail * weight[..., None]))
         self._changing.add(residual, weight, self._tiles)
         self.profiles.add(scene, residual, polar, detail, weight, flat)
@@ -153,7 +175,6 @@ class _Evidence:
         if not self._bins:
             nested = coarse if 8 % self._period == 0 else place * 0
             self._bins = {"row": Bins(side[:h]), "column": Bins(side[:w]), "phase": Bins(nested)}
-            self._bins |= {"blocks": Bins(), "shifted": Bins()}
         weighted = residual * weight[..., None]
         phase = scene.rows % 8 * 8 + scene.columns % 8
         for part in self._tiles.slices:
@@ -161,6 +182,9 @@ class _Evidence:
                 ("row", scene.rows, h), ("column", scene.columns, w), ("phase", phase, 64),
             ):  # fmt: skip
                 self._bins[axis].add(*_sums(index[part], weighted[part], weight[part], count))
+
+    def _add_lines(self, residual: np.ndarray, weight: np.ndarray) -> None:
+        h, w = weight.shape
         across = [c for _, c in self._tiles.slices[: self._tiles.across]]
         down = [r for r, _ in self._tiles.slices[:: self._tiles.across]]
         tile_of_row, tile_of_column = (
@@ -171,22 +195,25 @@ class _Evidence:
         self._columns.add(residual.swapaxes(0, 1), weight.T, tile_of_column, down)
 
     def _add_blocks(self, scene: Scene, residual: np.ndarray) -> None:
-        """Slopes of the residual's 8x8 cosine coefficients on the picture's, on the grid and off it."""
-        for name, offset in (("blocks", 0), ("shifted", 4)):
-            ours, theirs = (
-                [features.block_transform(np.roll(a, (-offset, -offset), (0, 1))) for a in planes]
-                for planes in (scene.planes, np.moveaxis(residual, -1, 0))
-            )
-            for rows, columns in self._tiles.slices:
-                part = tuple(slice(s.start // 8, s.stop // 8) for s in (rows, columns))
-                sums = [_slopes(a[part], b[part]) for a, b in zip(ours, theirs)]
-                self._bins[name].add(np.stack([s for s, _ in sums], -1), np.stack([c for _, c in sums], -1))
+        """Slopes of the residual's 8x8 cosine coefficients on the picture's, on each grid and off it."""
+        for grid, off in self._grids.items():
+            for place, bins in zip((grid, off), self._blocks[grid]):
+                ours, theirs = (
+                    [features.block_transform(np.roll(a, (-place[0], -place[1]), (0, 1))) for a in planes]
+                    for planes in (scene.planes, np.moveaxis(residual, -1, 0))
+                )
+                for rows, columns in self._tiles.slices:
+                    part = tuple(slice(s.start // 8, s.stop // 8) for s in (rows, columns))
+                    sums = [_slopes(a[part], b[part]) for a, b in zip(ours, theirs)]
+                    bins.add(np.stack([s for s, _ in sums], -1), np.stack([c for _, c in sums], -1))
 
-    def _add_noise(self, residual: np.ndarray, detail: np.ndarray, flat: np.ndarray) -> None:
+    def _add_lags(self, residual: np.ndarray, flat: np.ndarray) -> None:
         for channel, regression in enumerate(self._lag):
             target = np.zeros_like(residual)
             target[..., channel] = residual[..., channel]
             regression.add(features.lag_features(residual, channel), target, flat, self._tiles)
+
+    def _add_tail(self, detail: np.ndarray, flat: np.ndarray) -> None:
         for part in self._tiles.slices:
             values = detail[part][flat[part] > 0.5]
             if len(values) > 100:
@@ -196,6 +223,10 @@ class _Evidence:
     def axes(self) -> dict[str, Find]:
         """By axis, the energy explained for given signs."""
         bins, lines = self._bins, (self._rows, self._columns)
+        own = self._scored * len(self._tiles.slices)  # the tiles of the pictures that are scored
+
+        def alone(find: Find) -> Find:
+            return lambda signs, tiles: find(signs[:, :own], tiles)
 
         def row(signs: np.ndarray, tiles: Tiles) -> Explained:
             return _larger(bins["row"].explained(signs, tiles), lines[0].explained(signs, tiles))
@@ -206,9 +237,11 @@ class _Evidence:
             )
 
         def block_phase(signs: np.ndarray, tiles: Tiles) -> Explained:
-            on, off = (bins[name].explained(signs, tiles) for name in ("blocks", "shifted"))
-            locked = Explained(on.own - off.own, on.own_by - off.own_by)
-            return _larger(bins["phase"].explained(signs, tiles), locked)
+            found = bins["phase"].explained(signs, tiles)
+            for grid in self._blocks.values():
+                on, off = (b.explained(signs, tiles) for b in grid)
+                found = _larger(found, Explained(on.own - off.own, on.own_by - off.own_by))
+            return found
 
         def lag(signs: np.ndarray, tiles: Tiles) -> Explained:
             parts = [r.explained(signs, tiles) for r in self._lag]
@@ -218,11 +251,18 @@ class _Evidence:
         found |= {"row": row, "column": column, "block_phase": block_phase, "lag": lag}
         found["tail"] = self._tail.explained
         if self._scenes >= 3:
-            found["fixed_pattern"] = self._repeated.explained
+            found["fixed_pattern"] = alone(self._repeated.explained)
         if self._changing.repeated:
-            found["frame"] = self._changing.explained
+            found["frame"] = alone(self._changing.explained)
             self.profiles.add_frames(self._frames, self._changing.means())
         return found
+
+
+def _opposite(grid: tuple[int, int], earlier: tuple[int, int]) -> tuple[int, int]:
+    """A place half a block off, or a quarter where the other grid is there: what is not locked to a grid is
+    the same at all places."""
+    half, quarter = (tuple((g + by) % 8 for g in grid) for by in (4, 2))
+    return quarter if half in ((0, 0), earlier) else half
 
 
 def _flat(edge: np.ndarray, weight: np.ndarray) -> np.ndarray:

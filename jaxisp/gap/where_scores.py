@@ -5,7 +5,6 @@ Each score keeps sums by tile, so that flipping the sign of a tile's residual co
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,12 +18,17 @@ class Tiles:
     Attributes:
         slices: rows and columns of each, row by row, the same in all scenes.
         across: how many there are side by side.
-        folds: (F, B) on which tiles each fold is scored, scene after scene.
+        folds: each time (2, B), scene after scene: the tiles that are learnt from, and those that are scored.
     """
 
     slices: list[tuple[slice, slice]]
     across: int
     folds: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many there are in all pictures."""
+        return self.folds.shape[-1]
 
     def of_scene(self, signs: np.ndarray, scene: int) -> np.ndarray:
         """(D, down, across) of one scene's signs, out of all (D, B)."""
@@ -36,9 +40,16 @@ class Tiles:
         return np.asarray(scores.reshape(-1, len(self.slices), scores.shape[-1]).sum(1))
 
 
-def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray) -> Tiles:
-    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only. What
-    one frame of a scene teaches is not scored on another: `scenes` are the (N,) numbers of theirs, from 0."""
+def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray, scored: int) -> Tiles:
+    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only.
+
+    Args:
+        shape: (N, h, w).
+        rng: for the order of the folds.
+        scenes: the (N,) numbers of the pictures' scenes, from 0. What one frame of a scene teaches is not
+            scored on another.
+        scored: how many pictures are, the first; the rest only teach.
+    """
     h, w = shape[1:3]
     n = scenes.max() + 1
     edges = []
@@ -48,10 +59,12 @@ def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray) -> T
         edges.append([slice(a, b) for a, b in zip(starts, [*starts[1:], size])])
     slices = [(rows, columns) for rows in edges[0] for columns in edges[1]]
     groups = np.repeat(scenes, len(slices)) if n > 1 else np.tile(np.arange(len(slices)), len(scenes))
-    many = groups.max() + 1
-    count = max(2, min(4, many))
-    fold = (rng.permutation(many) % count)[groups]
-    return Tiles(slices, len(edges[1]), np.stack([fold == f for f in range(count)]))
+    counted = np.arange(len(groups)) < scored * len(slices)
+    every, many = groups.max() + 1, groups[counted].max() + 1
+    count = min(4, many) if every > many else max(2, min(4, many))
+    fold = np.concatenate([rng.permutation(many) % count, np.full(every - many, -1)])[groups]
+    folds = [(fold != f, (fold == f) & counted) for f in range(count)]
+    return Tiles(slices, len(edges[1]), np.stack(folds))
 
 
 @dataclass(frozen=True)
@@ -72,13 +85,15 @@ class Explained:
 
 
 class Regression:
-    """Least squares on features; the first `given` of them, by channel, say what other axes say already."""
+    """Least squares on features; the first `given` of them, by channel, say what other axes say already. What
+    these explain each picture says for itself: a scene's own curve is no matter of what lies around, though
+    the curves of scenes differ where that is what a camera looks at."""
 
     def __init__(self, given: Sequence[int] = (0, 0, 0)) -> None:
         self.given = given
         self._gram: list[np.ndarray] = []
         self._slope: list[np.ndarray] = []
-        self._support: Any = 0.0
+        self._support: list[np.ndarray] = []
 
     def add(
         self, features: Sequence[np.ndarray], target: np.ndarray, weight: np.ndarray, tiles: Tiles
@@ -91,41 +106,69 @@ class Regression:
             weighted = f * w
             self._gram.append((f.T @ weighted).astype(np.float64))
             self._slope.append((weighted.T @ target[rows, columns].reshape(-1, 3)).astype(np.float64))
-            self._support = self._support + w[:, 0] @ (f != 0)
+            self._support.append(w[:, 0] @ (f != 0))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
-        gram, slope = np.stack(self._gram), np.stack(self._slope)
-        total, known = np.zeros((2, len(signs), 3))
-        total_by, known_by = np.zeros((2, len(slope), 3))
-        for test in tiles.folds:
-            grams = gram[~test].sum(0), gram[test].sum(0)
-            slopes = [np.tensordot(signs[:, part], slope[part], 1) for part in (~test, test)]
-            scored = gram[test], slope[test]
-            gain, total_by[test] = self._gain(grams, slopes, scored, gram.shape[-1], range(3))
-            total += gain
-            for channel, given in enumerate(self.given):
-                if given:
-                    gain, by = self._gain(grams, slopes, scored, given, [channel])
-                    known[:, [channel]] += gain
-                    known_by[np.ix_(test, [channel])] = by
-        total_by, known_by = tiles.by_picture(total_by), tiles.by_picture(known_by)
-        return Explained(total - known, total_by - known_by, known, known_by)
+        pictures = tiles.count // len(tiles.slices)
+        own, known = np.zeros((2, len(signs), 3))
+        own_by, known_by = np.zeros((2, pictures, 3))
+        for learn, test in tiles.folds:
+            learnt, scored = (self._sums(signs, part, pictures) for part in (learn, test))
+            for given in set(self.given):
+                channels = [c for c, count in enumerate(self.given) if count == given]
+                gram, slope, _, support = _beyond(given, channels, *learnt)
+                found = _solved(gram.sum(0), slope.sum(1), support.sum(0))
+                gram, slope, before, _ = _beyond(given, channels, *scored)
+                gain = _gained(found, gram.sum(0), slope.sum(1))
+                own[:, channels] += gain
+                own_by[:, channels] += _gained(found[0], gram, slope[0])
+                known[:, channels] += before.sum(1)
+                known_by[:, channels] += before[0]
+        return Explained(own, own_by, known, known_by)
 
-    def _solve(self, gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        diagonal = np.diag(gram) + 1e-12
-        ridge = diagonal * (1e-5 + _RIDGE / (self._support[: len(gram)] + _RIDGE))
-        return np.linalg.solve(gram + np.diag(ridge), slope)
+    def _sums(self, signs: np.ndarray, part: np.ndarray, pictures: int) -> tuple[np.ndarray, ...]:
+        """By picture, over the tiles in this part: (P, F, F), (D, P, F, 3) and (P, F)."""
+        gram, slope, support = (
+            np.stack(a) * part.reshape(-1, *(1,) * a[0].ndim)
+            for a in (self._gram, self._slope, self._support)
+        )
+        gram, slope, support = (a.reshape(pictures, -1, *a.shape[1:]) for a in (gram, slope, support))
+        flat = slope.reshape(*slope.shape[:2], -1)
+        signed = signs.reshape(len(signs), pictures, -1).swapaxes(0, 1) @ flat
+        return gram.sum(1), signed.swapaxes(0, 1).reshape(len(signs), pictures, -1, 3), support.sum(1)
 
-    def _gain(
-        self, grams: Any, slopes: Any, scored: Any, count: int, channels: Sequence[int]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What the first `count` coefficients, learnt on the one part, explain of the other, draw by draw;
-        and of the first draw's what they explain of each of the `scored` tiles there."""
-        learn, test = (s[:, :count][..., list(channels)] for s in slopes)
-        found = self._solve(grams[0][:count, :count], learn)
-        gram, slope = scored[0][:, :count, :count], scored[1][:, :count][..., list(channels)]
-        by_tile = (found[0] * (2 * slope - gram @ found[0])).sum(1)
-        return (found * (2 * test - grams[1][:count, :count] @ found)).sum(1), by_tile
+
+def _beyond(
+    given: int, channels: Sequence[int], gram: np.ndarray, slope: np.ndarray, support: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What each picture has beyond what its first `given` features explain there.
+
+    Returns:
+        (P, U, U), (D, P, U, C) and (P, U) of the other features, without what is in the first; and before the
+        last the energies (D, P, C) that the first explain.
+    """
+    slope = slope[..., channels]
+    if not given:
+        return gram, slope, np.zeros((*slope.shape[:2], len(channels))), support
+    inner, across = gram[:, :given, :given], gram[:, :given, given:]
+    known = _solved(inner, slope[:, :, :given], support[:, :given])
+    shared = _solved(inner, across, support[:, :given])
+    back = across.swapaxes(1, 2)
+    before = (known * (2 * slope[:, :, :given] - inner @ known)).sum(2)
+    left = gram[:, given:, given:] - back @ shared
+    return left, slope[:, :, given:] - back @ known, before, support[:, given:]
+
+
+def _solved(gram: np.ndarray, slope: np.ndarray, support: np.ndarray) -> np.ndarray:
+    """Coefficients (..., F, C) that see some pixels' worth of zeros; of (F, F) or (P, F, F) grams."""
+    diagonal = np.einsum("...ff->...f", gram) + 1e-12
+    ridge = diagonal * (1e-5 + _RIDGE / (support + _RIDGE))
+    return np.linalg.solve(gram + ridge[..., None] * np.eye(gram.shape[-1]), slope)
+
+
+def _gained(found: np.ndarray, gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The energy (..., C) that coefficients explain."""
+    return np.asarray((found * (2 * slope - gram @ found)).sum(-2))
 
 
 class Bins:
@@ -155,9 +198,9 @@ def _gain(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(D, 3) of each draw, and (N, 3) of the first's by picture."""
     total, by_tile = np.zeros((len(signs), 3)), np.zeros((len(sums), 3))
-    for test in tiles.folds:
-        learn, scored = (np.tensordot(signs[:, part], sums[part], 1) for part in (~test, test))
-        mean = learn / (counts[~test].sum(0) + _RIDGE)
+    for learn, test in tiles.folds:
+        learnt, scored = (np.tensordot(signs[:, part], sums[part], 1) for part in (learn, test))
+        mean = learnt / (counts[learn].sum(0) + _RIDGE)
         total += (mean * (2 * scored - counts[test].sum(0) * mean)).sum(1)
         by_tile[test] = (mean[0] * (2 * sums[test] - counts[test] * mean[0])).sum(1)
     return total, tiles.by_picture(by_tile)
@@ -289,7 +332,7 @@ class Tail:
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         draws = self._rng.poisson(self._expected, (len(signs), 3)) * self._one
         draws[0] = 0
-        by_picture = np.zeros((tiles.folds.shape[1] // len(tiles.slices), 3))
+        by_picture = np.zeros((tiles.count // len(tiles.slices), 3))
         for picture, energy in self._energies:
             draws[0] += energy
             by_picture[picture] += energy

@@ -149,6 +149,54 @@ def test_frames_of_a_scene_are_compared_with_each_other():
     assert "frame" not in found(noise, None)
 
 
+def test_scenes_that_are_not_scored_teach():
+    """Two scenes learn little of many bins from each other; ten more say what they could not. The shares are
+    of the two, and what only the others show does not count."""
+    rng = np.random.default_rng(11)
+    pictures = scenes(rng, 12, (64, 72))
+    luma_of, down = pictures[..., 0], np.gradient(pictures, axis=1)
+    steep = np.arange(64)[:, None] / 32 - 1
+    moved = 0.5 * steep[..., None] * down + 2 * rng.normal(size=pictures.shape)
+
+    def found(residual, count, **given):
+        weight = np.ones((count, 64, 72))
+        rows = where(residual[:count], pictures[:count], weight, rng=np.random.default_rng(0), **given)
+        return {row["axis"]: row for row in rows}
+
+    alone, taught = found(moved, 2)["radius"], found(moved, 12, scored=2)["radius"]
+    expected = 1 - 4 * moved[:2].size / np.sum(moved[:2] ** 2)
+    assert alone["share"] < taught["share"] < 1.1 * expected and taught["share"] > 0.4 * expected
+    curve = luma_of[..., None] / 9 * [1, 0, 0]
+    theirs = rng.normal(size=pictures.shape) + (np.arange(12) > 1)[:, None, None, None] * curve
+    both, own = (found(theirs, 12, **given)["intensity"]["share"] for given in ({}, {"scored": 2}))
+    assert both > 0.5 and own < 0.02
+
+
+@pytest.mark.parametrize("place", [(6, 2), (4, 4)])
+def test_blocks_of_an_earlier_compression_are_seen_where_they_began(place):
+    """A quantiser of a grid elsewhere: half of that grid's energy is not locked to any other."""
+    back = tuple(-p for p in place)
+    lost = np.roll(quantized(np.roll(Y, back, (1, 2))), place, (1, 2)) - Y
+    residual = luma(lost) + np.random.default_rng(13).normal(size=PICTURE.shape)
+    shares = []
+    for grid in ((0, 0), place):
+        rows = where(residual, PICTURE, ONE, earlier=grid, rng=np.random.default_rng(1))
+        shares.append(next(row["share"] for row in rows if row["axis"] == "block_phase"))
+    assert rows[0]["axis"] == "block_phase" and shares[1] > 0.1 and shares[0] < 0.02
+
+
+def test_surroundings_are_seen_beside_each_scene_s_own_curve():
+    """As local tone has it: how bright a scene is all over sets the curve of all of it."""
+    rng = np.random.default_rng(12)
+    pictures = scenes(rng, 6, (96, 104))
+    light = pictures[..., 0]
+    smooth = np.stack([uniform_filter(plane, 33, mode="nearest") for plane in light])
+    own = np.sin(light / 255 * np.pi * rng.uniform(0.5, 2, (6, 1, 1))) * rng.choice((-6, 6), (6, 1, 1))
+    residual = (own - 0.1 * (smooth - light))[..., None] * [1, 0, 0] + 0.3 * rng.normal(size=pictures.shape)
+    first, *_ = where(residual, pictures, np.ones(light.shape), rng=rng)
+    assert first["axis"] == "neighbourhood" and first["share"] > 0.5
+
+
 def test_masked_pixels_do_not_count():
     rng = np.random.default_rng(3)
     residual = luma(0.05 * (Y - 128)) + rng.normal(size=PICTURE.shape)

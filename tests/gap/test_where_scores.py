@@ -20,11 +20,11 @@ def explained():
     residual = 0.05 * (pictures - 100) + rng.normal(size=pictures.shape) + rng.normal(size=(h, 1, 1))
     residual += 0.5 * rng.normal(size=(n, 1, 1, 3)) + rng.normal(size=(h, w, 3))
     residual[rng.random((n, h, w)) < 1e-3] += 60
-    tiles = cut((n, h, w), rng, SHOWN_IN)
-    evidence = _Evidence(tiles, 2, SHOWN_IN, rng)
+    tiles = cut((n, h, w), rng, SHOWN_IN, n)
+    evidence = _Evidence(tiles, 2, SHOWN_IN, n, (0, 0), rng)
     for picture, own, counted in zip(pictures, residual, rng.uniform(0.5, 1, (n, h, w))):
         evidence.add(Scene(picture.astype(np.float32)), own.astype(np.float32), counted.astype(np.float32))
-    signs = rng.choice((-1.0, 1.0), (5, tiles.folds.shape[1]))
+    signs = rng.choice((-1.0, 1.0), (5, tiles.count))
     signs[0] = 1
     return {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
 
@@ -45,11 +45,11 @@ def test_a_picture_that_does_not_show_it_counts_against():
     rng, shown_in = np.random.default_rng(1), np.arange(4)
     pictures = scenes(rng, 4, (64, 72))
     residual = 6 * np.sin(pictures / 255 * 3 * np.pi) * (shown_in != 2)[:, None, None, None]
-    tiles = cut(pictures.shape, rng, shown_in)
-    evidence = _Evidence(tiles, 2, shown_in, rng)
+    tiles = cut(pictures.shape, rng, shown_in, 4)
+    evidence = _Evidence(tiles, 2, shown_in, 4, (0, 0), rng)
     for picture, own in zip(pictures, residual):
         evidence.add(Scene(picture.astype(np.float32)), own.astype(np.float32), np.ones((64, 72), np.float32))
-    signs = np.ones((1, tiles.folds.shape[1]))
+    signs = np.ones((1, tiles.count))
     found = {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
     added = found["intensity"].own_by[:, 0]
     assert added[2] < 0 and (added[[0, 1, 3]] > 0).all()
@@ -64,8 +64,8 @@ def test_a_scene_is_in_its_products_twice():
     pattern = rng.normal(size=(64, 72, 3))
     for amount in amounts:
         repeated.add(amount * pattern)
-    tiles = cut((4, 64, 72), rng, np.arange(4))
-    found = repeated.explained(np.ones((1, tiles.folds.shape[1])), tiles)
+    tiles = cut((4, 64, 72), rng, np.arange(4), 4)
+    found = repeated.explained(np.ones((1, tiles.count)), tiles)
     others = (amounts.sum() - amounts) / 3
     expected = 2 * amounts * others - (amounts * others).mean()
     np.testing.assert_allclose(found.own_by, expected[:, None] * (pattern**2).sum((0, 1)), rtol=1e-6)
