@@ -37,7 +37,7 @@ from jaxisp.gap.verdict import NULL_DROP
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
 ALLOWED = {"numpy", "scipy", "cv2", "PIL", "skimage"}
-MORE = {"study": {"jaxisp"}, "libraw": {"rawpy", "tifffile"}}
+MORE = {"study": {"jaxisp"}, "targets": {"jaxisp"}, "libraw": {"rawpy", "tifffile"}}
 
 
 def imported(path: Path) -> set[str]:

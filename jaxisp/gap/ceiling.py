@@ -44,7 +44,7 @@ def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least
         causes close; None where that is no more than nulls have}.
     """
     problem, split = case.problem, case.split
-    found = {"the named effects": after, "effects that are not believed": min(refits, default=np.inf)}
+    found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
     if isinstance(problem, Problem):  # all effects fit the statistics of a few scenes, and no others
         found["all effects at once"] = _together(problem, case.offered, split)
         found["a small network on what is left"] = _network_leaves(problem, split)

@@ -105,7 +105,7 @@ def diagnose(
     pictures = _pictures(case, "before")
     base = problem.model, problem.z.copy()
     found = searched(case, gap, tick)
-    report = _report(case, gap, found, base[0], tick)
+    report = _report(case, gap, found, base, tick)
     report["pairs"] |= _laid(laid, case.strays)
     if downstream is not None:
         report["downstream"] = _trained(case, base, found, downstream, tick)
@@ -127,7 +127,7 @@ def _laid(laid: Laid, strays: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict[str, Any]:
+def _report(case: Case, gap: Gap, found: Found, base: tuple[Model, np.ndarray], tick: Tick) -> dict[str, Any]:
     """report.json, but for the seconds and what could not be used."""
     problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
@@ -136,6 +136,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict
     apart |= dict.fromkeys(case.absorbed, TAKEN_UP)
     tried = len(case.offered) + (case.stored is not None)  # and film grain
     causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
+    ended = problem.model.params(problem.z) if causes else None
     reached, where = {}, held_against_nulls(found.before.where, case.kind, gap.before, gap)
     if there:
         tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
@@ -144,7 +145,7 @@ def _report(case: Case, gap: Gap, found: Found, base: Model, tick: Tick) -> dict
     return {
         "schema": 1,
         "kind": case.kind,
-        "base": base_row(base, case.absorbed, case.given, case.open_nodes),
+        "base": base_row(*base, case.absorbed, case.given, case.open_nodes, ended),
         "pairs": {
             "fit": [names[i] for i in case.split.fit],
             "held_out": [names[i] for i in held],
@@ -314,6 +315,7 @@ def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -
 
     share, left = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, after)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(left)}" if left else "")
+    text += "" if there else ", no more than cameras that lack nothing have"
     wanted = left if found.causes else axes(found.before.where, gap.before)
     next_one = advice.about(wanted) if there and share >= advice.CONSIDERABLE else None
     row = {"share": share, "axes": left, "description": text, "next_measurement": next_one}

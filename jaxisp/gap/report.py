@@ -25,6 +25,9 @@ _ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("jaxisp", "gap"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
 _PLOTS, _BARS = 6, 8
+_LEAST_SHARE = 0.005  # of an axis that is listed
+_MOVED = 0.005  # of a stage's size: less is not worth a word
+_MORE = 0.02  # of the gap: what closes less more than another does not get lower
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
@@ -83,8 +86,8 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     report = plain(report)
     bars = _ranking(report)
     where = report["where"]
-    shown = [w for w in where if finite(w["p_value"]) and w["p_value"] <= CLEAR][:_PLOTS] or where[:1]
-    others = [w for w in where if w not in shown]
+    shown = _clear(where)[:_PLOTS]
+    others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
     statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
         kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
@@ -93,7 +96,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         warning=few_pairs(report).capitalize(),
         metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
         gap=_gap(report["gap"], bool(report["causes"])),
-        reducible=reached(report["gap"], bool(report["causes"])),
+        reducible=reached(report["gap"], bool(report["causes"]), statistics=statistics),
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
         where=[_axis(w, statistics) for w in shown],
@@ -137,9 +140,13 @@ def _nearest(report: Mapping[str, Any]) -> str:
     near = report["unexplained"].get("nearest")
     if near is None:
         return ""
+    others = [r for r in report["ranking"] if r.get("ci") and r["effect"] not in near["effects"]]
+    more = [r for r in others if r["closed"] > near["closed"] + _MORE]
+    alone = f"; {words(more[0]['effect'])} alone closes {percent(more[0]['closed'])}" if more else ""
     left = f" and leave {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
     return (
-        f" Nearest: {listed([words(n) for n in near['effects']])}, to close {percent(near['closed'])}{left}."
+        f" Refused: {listed([words(n) for n in near['effects']])}, to close {percent(near['closed'])}"
+        f"{left}{alone}."
     )
 
 
@@ -180,8 +187,18 @@ def _summary(report: Mapping[str, Any]) -> str:
         if len(report["causes"]) > 1:
             parts[0] = parts[0].replace("Adding it", "Adding them")
     if report["where"]:
-        parts.append(f"It shows most by {words(report['where'][0]['axis'])}.")
+        clear = _clear(report["where"])
+        parts.append(
+            f"It shows most by {words(clear[0]['axis'])}."
+            if clear
+            else "On no axis is it more than what cameras that lack nothing have."
+        )
     return " ".join(parts)
+
+
+def _clear(where: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The axes that have more than chance, and than cameras that lack nothing."""
+    return [w for w in where if finite(w["p_value"]) and w["p_value"] <= CLEAR]
 
 
 def _group(cause: Mapping[str, Any]) -> str:
@@ -195,7 +212,7 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     if not changed:
         rows = [("gap", gap["before"], gap["ci"])]
     if _lower(gap):
-        rows.append(("flexible model", gap["reducible"]["best"], None))
+        rows.append(("lowest of ours", gap["reducible"]["best"], None))
     rows.append(("floor", gap["floor"], None))
     return [
         _bar(name, value, top, number(value) + (f" [{number(ci[0])}, {number(ci[1])}]" if ci else ""), ci)
@@ -204,17 +221,18 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     ]
 
 
-def reached(gap: Mapping[str, Any], named: bool) -> str:
-    """How a flexible model compares with the named effects, or without these; "" where there is none."""
+def reached(gap: Mapping[str, Any], named: bool, *, statistics: bool = False) -> str:
+    """How other models compare with the named effects, or without these; "" where there is none. They are
+    other effects alone where the data are statistics."""
     found = gap.get("reducible") or {}
     if not finite(found.get("best")):
         return ""
     if not _lower(gap):
-        return "No flexible model of ours gets lower."
+        return "No other effect gets lower." if statistics else "No flexible model of ours gets lower."
     if not named or not finite(found.get("explained")):
-        return f"A flexible model ({found['how']}) gets to {number(found['best'])}."
+        return f"The lowest that any model of ours reaches is {number(found['best'])} ({found['how']})."
     share, how = percent(found["explained"]), found["how"]
-    return f"Of what our flexible models could reduce (lowest: {how}), the named effects are {share}."
+    return f"Of the most that any model of ours reduces (lowest: {how}), the named effects are {share}."
 
 
 def _lower(gap: Mapping[str, Any]) -> bool:
@@ -235,14 +253,23 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             words(row["effect"]),
             row["closed"],
             top,
-            percent(row["closed"]) + (f" {span(ci)}" if ci else ""),
+            _closes(row),
             ci,
         )
         bar |= {"kind": row["status"], "status": _status(row)}
         if ci and finite(row.get("predicted")):
-            bar |= {"mark": _place(row["predicted"], top), "predicted": percent(row["predicted"])}
+            told = percent(row["predicted"]) if row["predicted"] > 0 else "nothing"
+            bar |= {"mark": _place(row["predicted"], top), "predicted": told}
         bars.append(bar)
     return bars
+
+
+def _closes(row: Mapping[str, Any]) -> str:
+    """The share that a candidate closes, in words where the gap grows by it."""
+    ci = row.get("ci")
+    if finite(row["closed"]) and row["closed"] < 0:
+        return "the gap grows" if ci else "nothing"
+    return percent(row["closed"]) + (f" {span(ci)}" if ci else "")
 
 
 def _status(row: Mapping[str, Any]) -> str:
@@ -327,6 +354,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("base", ", ".join(map(words, base["stages"]))),
         ("fitted in it", ", ".join(map(words, base["fitted"]))),
         ("taken up by it", absorbed or "nothing of note"),
+        ("moved by what was found", _moved(base)),
         ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
         ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
         ("laid on each other", ", ".join(placed)),
@@ -340,6 +368,23 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(term, text) for term, text in rows if text]
 
 
+def _moved(base: Mapping[str, Any]) -> str:
+    """By how much, of its own size, each of the base's stages is another where the causes are added."""
+
+    def flat(fields: Mapping[str, Any]) -> np.ndarray:
+        return np.array([v for values in fields.values() for v in np.ravel(values)], float)
+
+    moved = []
+    for stage, fields in base.get("fitted_after", {}).items():
+        was, is_now = flat(base["fitted"].get(stage, {})), flat(fields)
+        share = (
+            np.linalg.norm(is_now - was) / (np.linalg.norm(was) + 1e-9) if was.size == is_now.size else 0.0
+        )
+        if share >= _MOVED:
+            moved.append((share, f"{words(stage)} {percent(share)}"))
+    return ", ".join(text for _, text in sorted(moved, reverse=True))
+
+
 def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
     shown = [("the camera's", pictures.get("target")), ("simulator, before", pictures.get("before"))]
     shown.append(("simulator, after", pictures.get("after")))
@@ -348,5 +393,8 @@ def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
     for when, residual in differences.items():
         caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
         shown.append((caption, difference_picture(residual, gain)))
-    figures = [{"caption": text, "uri": data_uri(a)} for text, a in shown if a is not None]
+    under = dict(zip((caption for caption, _ in shown[-len(differences) :]), (2, 3)))  # its picture
+    figures = [
+        {"caption": text, "uri": data_uri(a), "under": under.get(text)} for text, a in shown if a is not None
+    ]
     return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None

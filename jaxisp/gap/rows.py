@@ -12,28 +12,36 @@ from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import Trial
 from jaxisp.gap.verdict import Found
-from jaxisp.pipeline import Gate
+from jaxisp.gap.which import told_by_pixels
+from jaxisp.pipeline import Gate, Params
 
 
 def base_row(
     model: Model,
+    z: np.ndarray,
     absorbed: Mapping[str, float | None],
     given: str | None = None,
     open_nodes: Iterable[str] = (),
+    after: Params | None = None,
 ) -> dict[str, Any]:
-    """The base: its stages, its fitted numbers, what it absorbed, and what it is where it was given."""
+    """The base at a point: its stages, its fitted numbers, what it absorbed, and what it is where it was
+    given; with these numbers `after` the causes are added, some of which it had imitated."""
     names = {c.node for c in model.base} | {*open_nodes}
     if given is None:
         names.add("demosaicking")
-    fitted = {
-        name: {f.name: np.asarray(getattr(model.shared[name], f.name)).tolist()
-               for f in dataclasses.fields(model.shared[name])}
-        for name in sorted(names) if name in model.shared
-    }  # fmt: skip
+
+    def numbers(params: Params) -> dict[str, dict[str, Any]]:
+        return {
+            name: {f.name: np.asarray(getattr(params[name], f.name)).tolist()
+                   for f in dataclasses.fields(params[name])}
+            for name in sorted(names) if name in params
+        }  # fmt: skip
+
     gates = {n.name: n.node.name for n in model.chain.nodes if isinstance(n, Gate)}
     on = [n.name for n in model.chain.nodes if n.name not in gates or float(model.shared[n.name].on) > 0.5]
     stages = [gates.get(name, name) for name in on]
-    row = {"stages": stages, "fitted": fitted, "absorbed": dict(absorbed)}
+    row = {"stages": stages, "fitted": numbers(model.params(z)), "absorbed": dict(absorbed)}
+    row |= {} if after is None else {"fitted_after": numbers(after)}
     return row if given is None else row | {"given": given}
 
 
@@ -74,7 +82,7 @@ NO_HEADER = "without the file's header nothing tells it from the file's own comp
 def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
-    possible: it takes pixels no farther away. Those that were not tried come last.
+    possible: it takes pixels no farther away. What was not tried closes nothing.
 
     Args:
         found: by the search.
@@ -96,10 +104,11 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
             row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
         elif name in found.hidden:
             row |= {"status": "not_identifiable", "reason": HIDDEN}
+        elif trial is not None and found.causes and told_by_pixels(found.causes[0][0], trial):
+            row |= {"reason": f"takes pixels less near than {found.causes[0][0].effect}"}
         rows.append(row)
-    rows.sort(key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
-    return rows + [
-        {"effect": name, "closed": 0.0, "status": "absorbed", "reason": why}
-        for name, why in apart.items()
-        if name not in found.promises
-    ]
+    for name, why in apart.items():
+        if name not in found.promises:
+            status = "not_identifiable" if why == NO_HEADER else "absorbed"
+            rows.append({"effect": name, "closed": 0.0, "status": status, "reason": why})
+    return sorted(rows, key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))

@@ -24,7 +24,12 @@ CAUSE = {
 REPORT = {
     "schema": 1,
     "kind": "raw+jpeg",
-    "base": {"stages": ["demosaicking"], "fitted": {"tone_curve": {}}, "absorbed": {"white_balance": 0.94}},
+    "base": {
+        "stages": ["demosaicking"],
+        "fitted": {"tone_curve": {"knots": [0.0, 3.0, 4.0]}, "black": {"level": 64.0}},
+        "fitted_after": {"tone_curve": {"knots": [0.0, 3.0, 4.5]}, "black": {"level": 64.0}},
+        "absorbed": {"white_balance": 0.94},
+    },
     "pairs": {
         "fit": ["a"],
         "held_out": ["<script>alert(1)</script>"],

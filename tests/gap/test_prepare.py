@@ -27,7 +27,8 @@ def test_a_given_camera_has_the_stages_that_are_its_own():
     raw = Raw(Path("a"), np.full((64, 64), 0.5, np.float32), "GRBG", np.zeros(4), 1.0, np.ones(3),
               (0, 0, 64, 64), (0, 0, 64, 64))  # fmt: skip
     loaded = Loaded("a", np.zeros((64, 64, 3), np.float32), None, raw, None, Settings(), False, None)
-    row = base_row(camera_model(camera, [loaded], candidates("raw+jpeg")), {}, "camera")
+    model = camera_model(camera, [loaded], candidates("raw+jpeg"))
+    row = base_row(model, np.zeros(len(model.coordinates)), {}, "camera")
     own = [n.name for n in camera.chain.nodes if not n.name.startswith(("demosaic", "rounding"))]
     assert [name for name in row["stages"] if name != "demosaicking"] == own and row["fitted"] == {}
 
@@ -52,7 +53,9 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     assert float(found.shared["use_companding"].on) == float(found.shared["use_expansion"].on) == roots
     assert np.argmax(found.shared["demosaicking"].shares) == which // 2
     np.testing.assert_array_equal(found.per_pair["mosaic_white_balance"].gains, 1)
-    assert ("companding" in base_row(found, base.absorbed)["stages"]) == roots
+    assert (
+        "companding" in base_row(found, np.zeros(len(found.coordinates)), base.absorbed)["stages"]
+    ) == roots
     assert all(0 <= share <= 1 for share in base.absorbed.values())
     assert base.absorbed["demosaicking"] > 0.5
     assert (base.rival is not None) == roots, "what is explained by roots may be an effect"

@@ -98,18 +98,22 @@ def test_what_is_left_is_said_where_it_is_considerable():
 
 
 def test_what_was_refused_as_the_cause_is_said():
-    near = {"effects": ["sharpening", "prnu"], "closed": 0.53, "axes": ["edge", "lag"]}
+    near = {"effects": ["sharpening", "prnu"], "closed": 0.8, "axes": ["edge", "lag"]}
     left = {"share": 1.0, "axes": ["edge"], "description": "100 % of the gap is left, on edge"}
     unknown = {"verdict": "unknown", "causes": []}
     start = "There is a gap, and no effect of the library explains it."
     assert sentence(changed(**unknown, unexplained=left)) == start
-    told = sentence(changed(**unknown, unexplained=left | {"nearest": near})).replace(
-        "\N{NO-BREAK SPACE}", " "
-    )
-    assert (
-        told == f"{start} Nearest: sharpening and PRNU, to close 53 % and leave edge and noise correlation."
-    )
-    assert "Nearest: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
+
+    def told(near):
+        said = sentence(changed(**unknown, unexplained=left | {"nearest": near}))
+        return said.replace("\N{NO-BREAK SPACE}", " ").removeprefix(f"{start} ")
+
+    first = "Refused: sharpening and PRNU, to close"
+    assert told(near) == f"{first} 80 % and leave edge and noise correlation."
+    less = near | {"closed": 0.53, "axes": []}
+    assert told(less) == f"{first} 53 %; vignetting alone closes 81 %."
+    assert told(less | {"effects": ["vignetting"]}) == "Refused: vignetting, to close 53 %."
+    assert "Refused: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
 
 
 @pytest.mark.parametrize(

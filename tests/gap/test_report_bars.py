@@ -44,7 +44,7 @@ def test_what_was_predicted_stands_beside_what_was_realised():
     Balance(text)
     marks = re.findall(r'class="mark" style="left:([\d.]+)%"', text)
     assert list(map(float, marks)) == [100, 0], "only of what was refitted"
-    assert "predicted 160 %" in text and "predicted -30 %" in text and "predicted 10 %" not in text
+    assert "predicted 160 %" in text and "predicted nothing" in text and "predicted 10 %" not in text
     assert 'style="width:50.75%' in text
     plain = shown(REPORT)
     assert 'class="mark' not in plain and "what was predicted before" not in plain
@@ -62,25 +62,45 @@ def test_why_a_candidate_was_not_tried_is_said():
     assert "taken up by the base fit" not in text and "cannot be told apart" not in text
 
 
+def test_what_grows_the_gap_is_said_in_words_and_how_the_base_moved():
+    ranking = copy.deepcopy(REPORT["ranking"])
+    ranking[1] |= {"closed": -2.2, "ci": [-3.0, -1.0]}
+    text = shown(changed(ranking=ranking))
+    assert '<span class="value">the gap grows' in text and "-220" not in text
+    assert "<dt>moved by what was found</dt><dd>tone curve 10 %</dd>" in text
+
+
+def test_no_axis_is_said_to_stand_out_that_does_not():
+    usual = [row | {"p_value": 0.18} for row in REPORT["where"]]
+    text = shown(changed(where=usual))
+    assert "On no axis is it more than what cameras that lack nothing have." in text
+    assert "It shows most by" not in text and "Nothing stands out on any axis." in text
+    assert "It shows most by radius." in shown(REPORT)
+
+
 def test_what_a_flexible_model_reaches_is_a_bar():
     found = {"best": 2.2, "explained": 0.93, "how": "a free curve and filter"}
     text = shown(changed(gap=REPORT["gap"] | {"reducible": found}))
-    assert re.findall(r'<span class="name">(\w+(?: model)?)</span>', text)[:4] == [
+    assert re.findall(r'<span class="name">(\w+(?: of ours)?)</span>', text)[:4] == [
         "before",
         "after",
-        "flexible model",
+        "lowest of ours",
         "floor",
     ]
     widths = [float(w) for w in re.findall(r'class="bar [a-z_ ]+" style="width:([\d.]+)%', text)]
     assert widths[2] / widths[0] == pytest.approx(2.2 / 17.6, abs=1e-3)
-    said = "Of what our flexible models could reduce (lowest: a free curve and filter), the named effects are"
+    said = (
+        "Of the most that any model of ours reduces (lowest: a free curve and filter), the named effects are"
+    )
     assert f"{said} 93 %." in text
     unnamed = found | {"explained": None}
     for other in (changed(gap=REPORT["gap"] | {"reducible": unnamed}), changed(causes=[], verdict="unknown")):
         other["gap"]["reducible"] = unnamed
-        assert "A flexible model (a free curve and filter) gets to 2.2." in shown(other)
+        assert "The lowest that any model of ours reaches is 2.2 (a free curve and filter)." in shown(other)
     worse = shown(changed(gap=REPORT["gap"] | {"reducible": found | {"best": 4.2, "explained": 1.0}}))
-    assert "No flexible model of ours gets lower." in worse and ">flexible model<" not in worse
+    assert "No flexible model of ours gets lower." in worse and ">lowest of ours<" not in worse
+    worse = shown(changed(gap=REPORT["gap"] | {"reducible": found | {"best": 4.2}}, kind="clean+noisy"))
+    assert "No other effect gets lower." in worse and "flexible" not in worse
     for absent in ({}, {"reducible": None}):
         assert "flexible" not in shown(changed(gap=REPORT["gap"] | absent))
 

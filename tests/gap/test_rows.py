@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxisp.gap.account import Shown
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.rows import HIDDEN, STATED, TAKEN_UP, ranking_rows
+from jaxisp.gap.rows import HIDDEN, NO_HEADER, STATED, TAKEN_UP, ranking_rows
 from jaxisp.gap.verdict import Found
 
 
@@ -22,7 +22,7 @@ def test_a_line_promises_the_whole_at_most_and_a_step_what_was_measured():
     assert {row["effect"]: row["closed"] for row in rows} == {
         "sharpening": 1.2, "prnu": 1.0, "vignetting": -0.1, "tone_curve": 0.0,
     }  # fmt: skip
-    assert [row["status"] for row in rows] == ["rejected"] * 3 + ["absorbed"]
+    assert [row["status"] for row in rows] == ["rejected", "rejected", "absorbed", "rejected"]
 
 
 def test_what_was_not_named_says_why():
@@ -39,4 +39,18 @@ def test_what_was_not_named_says_why():
         "prnu": ("rejected", None),  # it was tried
         "tone_curve": ("absorbed", TAKEN_UP),
         "jpeg_quantization": ("absorbed", STATED),
+    }
+
+
+def test_what_pixels_tell_from_the_cause_says_so():
+    """It closes as much of the statistics, and pictures are not as near: no cause, no alternative."""
+    near, far = (Trial(name, np.zeros(1), 11.0, 1.0, 1.0, 0.9, 1.1, 0.05, farther=by)
+                 for name, by in (("optical_blur", -0.5), ("luma_denoising", 0.0)))  # fmt: skip
+    promises = dict.fromkeys(("optical_blur", "luma_denoising"), 0.5)
+    apart = {"double_compression": NO_HEADER}
+    rows = ranking_rows(found(promises, {"luma_denoising": far}, [(near, [])]), apart, 10.0)
+    assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
+        "optical_blur": ("accepted", None),
+        "luma_denoising": ("rejected", "takes pixels less near than optical_blur"),
+        "double_compression": ("not_identifiable", NO_HEADER),
     }
