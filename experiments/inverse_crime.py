@@ -36,6 +36,8 @@ ELSEWHERE = {
     "film_grain": "random: no point of the model",
     "jpeg_quantization": "stated by the file",
 }
+SHOWN = 1.25
+"""Floors from which most effects are found, in RAW+JPEG pairs of the cameras that share no code."""
 TAKEN_UP = (*ABSORBABLE, "black_level_offset")
 
 
@@ -114,9 +116,12 @@ def page(found: dict[str, Any]) -> str:
         "allows. No evidence: what stands in [withheld effects](withheld.md) is.",
         "",
     ]
+    shown = [r["gap"]["before"] >= SHOWN * r["gap"]["floor"] for r in sure]
     for what, hits in rates.items():
         low, high = wilson(sum(hits), len(hits))
-        lines.append(f"- {what}: {sum(hits)} of {len(hits)} [{low:.0%}, {high:.0%}]")
+        seen = [hit for hit, plain in zip(hits, shown) if plain]
+        rest = f"{sum(seen)} of the {len(seen)} whose gap is at least {SHOWN:g} floors"
+        lines.append(f"- {what}: {sum(hits)} of {len(hits)} [{low:.0%}, {high:.0%}]; {rest}")
     lines += [
         "",
         "| effect | change [RMS] | gap, floor | verdict | causes, share closed |",

@@ -12,6 +12,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from jaxisp.gap import EFFECTS
+
 from .effects import ABSORBABLE, KINDS
 from .tables import (
     axis_right,
@@ -42,6 +44,21 @@ python -m experiments.withheld.targets {files} -o {page}
 ```
 
 """
+BODY = """{0}
+## The bodies that came last alone
+
+{1}, by the version that stands.
+
+{2}
+## By effect
+
+Cases whose gap is at least twice the floor; those among them where the effect is named first; and those where
+one of the axes that the package says it shows on is among the three that have most of the gap.
+
+{3}
+## What was run
+
+{4}"""
 
 
 def middle(values: Sequence[float]) -> str:
@@ -103,6 +120,30 @@ MUST = {
 }  # fmt: skip
 
 
+LATEST = ("elm", "fig")
+"""The bodies that came last, and are by the version that stands."""
+
+
+def by_effect(records: Sequence[Record]) -> str:
+    """The table of effects, each by the cases whose gap is at least twice the floor."""
+    rows: dict[tuple[str, str], dict[str, list[Record]]] = {}
+    for r in records:
+        if r["split"] in SPLITS and plain_to_see(r) and len(r["effects"]) == 1:
+            rows.setdefault((r["split"], truth(r)[0]), {kind: [] for kind in KINDS})[r["kind"]].append(r)
+
+    def cells(own: Sequence[Record]) -> tuple[object, ...]:
+        seen = sum(bool({*r["where"]} & {*EFFECTS[truth(r)[0]].axes}) for r in own)
+        return len(own), sum(map(first_right, own)), seen
+
+    lines = []
+    for (split, name), by in sorted(rows.items(), key=lambda row: (SPLITS.index(row[0][0]), row[0][1])):
+        lines.append([name, split, *(cell for kind in KINDS for cell in cells(by[kind]))])
+    sums = [sum(line[i] for line in lines) for i in range(2, 2 + 3 * len(KINDS))]
+    columns = [f"{kind.replace('raw+jpeg', 'RAW+JPEG')}: {what}"
+               for kind in KINDS for what in ("cases", "first", "axis")]  # fmt: skip
+    return table(["effect", "split", *columns], [*lines, ["**all**", "", *sums]])
+
+
 def targets(records: Sequence[Record]) -> str:
     """The table: a row a quantity, with a column for the effects of each kind that were sealed and that were
     developed on; what has no such difference stands in the first of the two."""
@@ -138,7 +179,10 @@ def main() -> None:
     arguments = parser.parse_args()
     records, _ = collected(arguments.results)
     head = HEAD.format(files=" ".join(map(str, arguments.results)), page=arguments.out)
-    arguments.out.write_text(f"{head}{targets(records)}\n{by_body(records)}")
+    latest = [r for r in records if r["body"] in LATEST]
+    run = [r for r in records if "failed" not in r]
+    tables = targets(records), " and ".join(LATEST), targets(latest), by_effect(run), by_body(records)
+    arguments.out.write_text(head + BODY.format(*tables))
 
 
 if __name__ == "__main__":
