@@ -27,7 +27,7 @@ python -m experiments.real_gap DATA --downstream --out docs/results/real-gap.jso
 
 Nobody knows their truth: what stands here is what the diagnosis says. Gaps of RAW+JPEG pairs are in squared
 8-bit steps, those of clean+noisy pairs in units of what is harmless or chance, squared; all are of pairs held
-out. Where no effect accounts for a gap, "after" is what it would be with what comes nearest, and denoisers
+out. Where no effect accounts for a gap, "after" is what it would be with what was refused, and denoisers
 are trained with that. In square brackets: 90 % intervals.
 """
 
@@ -44,7 +44,7 @@ def nearest(record: Record) -> Record | None:
 
 
 def after(record: Record) -> tuple[float, list[str]]:
-    """The gap with the causes in the simulator, or with what comes nearest, and what these are."""
+    """The gap with the causes in the simulator, or with what was refused, and what these are."""
     gap, near = record["gap"], nearest(record)
     if near is None:
         return gap["after"], record["causes"]
@@ -65,12 +65,12 @@ def pairs(record: Record) -> str:
 def causes(record: Record) -> str:
     near, closed, ci = nearest(record), record["closed"], record["ci"]
     if near is not None:
-        return f"unknown; nearest: {listed([words(e) for e in near['effects']])} {share(near['closed'])}"
+        return f"unknown; refused: {listed([words(e) for e in near['effects']])} {share(near['closed'])}"
     return "; ".join(f"{words(c)} {share(closed[c], ci[c])}" for c in record["causes"]) or record["verdict"]
 
 
 def left(record: Record) -> str:
-    """How much of the gap the causes leave, or what comes nearest would, and on which axes."""
+    """How much of the gap the causes leave, or what was refused would, and on which axes."""
     rest, near = record["unexplained"], nearest(record)
     if record["verdict"] == "none":
         return "nothing that counts"
@@ -78,7 +78,7 @@ def left(record: Record) -> str:
     if near is None:
         return text
     with_it = ", ".join([f"{1 - near['closed']:.0%}", *map(words, near["axes"])])
-    return f"{text}; with the nearest {with_it}"
+    return f"{text}; with what was refused {with_it}"
 
 
 def row(name: str, record: Record) -> list[str]:
@@ -109,7 +109,7 @@ def claim(record: Record) -> str:
     if added:
         each = [words(c) + (f" (or {any_of(alike(record, c))})" if alike(record, c) else "") for c in added]
         text += f", {number(least)} after adding {listed(each)}"
-        text += "" if nearest(record) is None else ", which comes nearest and does not account for it"
+        text += "" if nearest(record) is None else ", which does not account for it"
     text += f", floor {number(gap['floor'])}"
     if record["axes"]:
         text += f", on these axes: {listed([words(a['axis']) for a in record['axes']])}"

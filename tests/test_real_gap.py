@@ -156,16 +156,15 @@ def test_the_page_says_the_figures(data: Path, fake: Diagnose, tmp_path: Path) -
     )
     assert "| clean+noisy: 3, 1 held out | 21 [1, unknown] | 11 | 1 | " in text
     assert (
-        "| unknown; nearest: double compression 0.50 |  | 100%, row; with the nearest 50%, frequency |"
+        "| unknown; refused: double compression 0.50 |  | 100%, row; with what was refused 50%, frequency |"
         in text
     )
     axes = "on these axes: row, colour filter phase and noise correlation"
     for said in (
-        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. Of what our "
-        "flexible models could reduce (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. What "
+        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. Of the most "
+        "that any model of ours reduces (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. What "
         "could tell more: a slanted edge.\n",
-        "A gap of 21, 11 after adding double compression, which comes nearest and does not account for it, "
-        f"floor 1, {axes}.\n",
+        f"A gap of 21, 11 after adding double compression, which does not account for it, floor 1, {axes}.\n",
         f"A gap of 23, floor 1, {axes}; no effect comes near it.\n",
         "A gap of 24, floor 1; so near the floor that nothing is missing.\n",
         "| 25.00 dB (0.10) without, 27.00 dB (0.10) with row noise, 26.00 dB (0.10) on real pairs; noisy "
