@@ -50,8 +50,8 @@ CASE = types.SimpleNamespace(problem=None, split=None, offered=())
 
 
 @pytest.mark.parametrize(("after", "share", "how"), [
-    (2.0, 8 / 9, "effects that are not believed"), (1.0, 1.0, "the named effects"),
-    (10.0, 0.0, "effects that are not believed"),
+    (2.0, 8 / 9, "an effect that was refused"), (1.0, 1.0, "the named effects"),
+    (10.0, 0.0, "an effect that was refused"),
 ])  # fmt: skip
 def test_what_is_named_is_a_share_of_what_flexible_models_close(after, share, how):
     found = ceiling.reducible(CASE, Gap(10.0, 1.0), after, [3.0, 1.0], 0.1)
