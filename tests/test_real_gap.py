@@ -162,8 +162,8 @@ def test_the_page_says_the_figures(data: Path, fake: Diagnose, tmp_path: Path) -
     axes = "on these axes: row, colour filter phase and noise correlation"
     for said in (
         f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. Of the most "
-        "that any model of ours reduces (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. What "
-        "could tell more: a slanted edge.\n",
+        "that any model of ours reduces (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. "
+        "What could tell more: a slanted edge.\n",
         f"A gap of 21, 11 after adding double compression, which does not account for it, floor 1, {axes}.\n",
         f"A gap of 23, floor 1, {axes}; no effect comes near it.\n",
         "A gap of 24, floor 1; so near the floor that nothing is missing.\n",
