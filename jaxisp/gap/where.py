@@ -261,7 +261,7 @@ class _Evidence:
 def _opposite(grid: tuple[int, int], earlier: tuple[int, int]) -> tuple[int, int]:
     """A place half a block off, or a quarter where the other grid is there: what is not locked to a grid is
     the same at all places."""
-    half, quarter = (tuple((g + by) % 8 for g in grid) for by in (4, 2))
+    half, quarter = (((grid[0] + by) % 8, (grid[1] + by) % 8) for by in (4, 2))
     return quarter if half in ((0, 0), earlier) else half
 
 
