@@ -16,7 +16,7 @@ import pytest
 
 import jaxisp
 from experiments.withheld.tables import collected
-from experiments.withheld.targets import targets
+from experiments.withheld_targets import targets
 from jaxisp.gap import EFFECTS
 from jaxisp.recipes import RECIPES
 from jaxisp.stages import STAGES

@@ -249,13 +249,7 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     bars = []
     for row in rows:
         ci = row.get("ci")
-        bar = _bar(
-            words(row["effect"]),
-            row["closed"],
-            top,
-            _closes(row),
-            ci,
-        )
+        bar = _bar(words(row["effect"]), row["closed"], top, _closes(row), ci)
         bar |= {"kind": row["status"], "status": _status(row)}
         if ci and finite(row.get("predicted")):
             told = percent(row["predicted"]) if row["predicted"] > 0 else "nothing"
@@ -386,15 +380,14 @@ def _moved(base: Mapping[str, Any]) -> str:
 
 
 def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
-    shown = [("the camera's", pictures.get("target")), ("simulator, before", pictures.get("before"))]
-    shown.append(("simulator, after", pictures.get("after")))
+    shown = [(1, "the camera's", pictures.get("target")), (2, "simulator, before", pictures.get("before"))]
+    shown.append((3, "simulator, after", pictures.get("after")))
     differences = {w: pictures[f"residual_{w}"] for w in _WHEN if pictures.get(f"residual_{w}") is not None}
     gain = gain_for(list(differences.values()))
     for when, residual in differences.items():
         caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
-        shown.append((caption, difference_picture(residual, gain)))
-    under = dict(zip((caption for caption, _ in shown[-len(differences) :]), (2, 3)))  # its picture
-    figures = [
-        {"caption": text, "uri": data_uri(a), "under": under.get(text)} for text, a in shown if a is not None
-    ]
+        shown.append(
+            (2 + _WHEN.index(when), caption, difference_picture(residual, gain))
+        )  # under its picture
+    figures = [{"column": c, "caption": text, "uri": data_uri(a)} for c, text, a in shown if a is not None]
     return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None

@@ -77,13 +77,12 @@ class Problem:
         earlier: the row and column where blocks of an earlier compression began, (0, 0) of none.
     """
 
-    earlier: tuple[int, int] = (0, 0)
-
     def __init__(
         self, model: Model, pairs: Pairs, choices: Sequence[Choice] = (), rival: Choice | None = None
     ) -> None:
         self.model, self.pairs, self.choices, self.rival = model, pairs, tuple(choices), rival
         self.references: dict[int, float] = {}
+        self.earlier = (0, 0)
         inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         self.inner = inner
         self.target = to_steps(pairs.pictures[inner])
@@ -187,16 +186,10 @@ class Problem:
         weight = self.weight[order][..., 0]
         residual = self.residual[order] / np.maximum(weight[..., None], 1e-6)
         scenes = [scene_name(self.pairs.names[i]) for i in order]
-        rng = np.random.default_rng(0)
         return where(
-            residual,
-            self.current[order],
-            weight**2,
-            scenes=scenes,
-            scored=len(held),
-            earlier=self.earlier,
-            rng=rng,
-        )
+            residual, self.current[order], weight**2, scenes=scenes, scored=len(held), earlier=self.earlier,
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
 
     def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
         """These: of a residual each axis has its own already."""

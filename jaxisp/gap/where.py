@@ -82,15 +82,20 @@ def where(
     found, draws = [], Draws.of(names[:scored])
     for axis, e in explained.items():
         energies = np.stack(evidence.energies)[:, int(axis in POLAR_AXES)]
-        shares = _shares(e.own[0], np.broadcast_to(e.known, e.own.shape)[0], energies.sum(0))
-        share, ci = float(np.clip(shares.sum(), 0, 1)), None
-        if draws is not None:
-            by = e.own_by[:scored], np.broadcast_to(e.known_by, e.own_by.shape)[:scored]
-            parts = *by, energies
-            ci = draws.interval(share, _shares(*map(draws.means, parts)).sum(-1))
-        first = {"axis": axis, "share": share, "ci": ci, "p_value": p_values[axis]}
-        found.append(first | evidence.profiles.of(axis, shares))
+        shares, row = _explains(e, energies, draws)
+        row |= {"axis": axis, "p_value": p_values[axis]}
+        found.append(row | evidence.profiles.of(axis, shares))
     return sorted(found, key=lambda f: -f["share"])
+
+
+def _explains(e: Explained, energies: np.ndarray, draws: Draws | None) -> tuple[np.ndarray, dict[str, Any]]:
+    """(3,) by channel, and the `share` in all with its interval `ci`, of the (N, 3) energies that count."""
+    shares = _shares(e.own[0], np.broadcast_to(e.known, e.own.shape)[0], energies.sum(0))
+    share, ci = float(np.clip(shares.sum(), 0, 1)), None
+    if draws is not None:
+        by = (np.broadcast_to(a, e.own_by.shape)[: len(energies)] for a in (e.own_by, e.known_by))
+        ci = draws.interval(share, _shares(*map(draws.means, (*by, energies))).sum(-1))
+    return shares, {"share": share, "ci": ci}
 
 
 def _shares(own: np.ndarray, known: np.ndarray, energy: np.ndarray) -> np.ndarray:

@@ -61,7 +61,7 @@ def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray, scor
     groups = np.repeat(scenes, len(slices)) if n > 1 else np.tile(np.arange(len(slices)), len(scenes))
     counted = np.arange(len(groups)) < scored * len(slices)
     every, many = groups.max() + 1, groups[counted].max() + 1
-    count = min(4, many) if every > many else max(2, min(4, many))
+    count = max(min(4, many), 1 if every > many else 2)  # somebody must teach
     fold = np.concatenate([rng.permutation(many) % count, np.full(every - many, -1)])[groups]
     folds = [(fold != f, (fold == f) & counted) for f in range(count)]
     return Tiles(slices, len(edges[1]), np.stack(folds))
@@ -110,10 +110,11 @@ class Regression:
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         pictures = tiles.count // len(tiles.slices)
+        kept = np.stack(self._gram), np.stack(self._slope), np.stack(self._support)
         own, known = np.zeros((2, len(signs), 3))
         own_by, known_by = np.zeros((2, pictures, 3))
         for learn, test in tiles.folds:
-            learnt, scored = (self._sums(signs, part, pictures) for part in (learn, test))
+            learnt, scored = (_by_picture(*kept, signs, part, pictures) for part in (learn, test))
             for given in set(self.given):
                 channels = [c for c, count in enumerate(self.given) if count == given]
                 gram, slope, _, support = _beyond(given, channels, *learnt)
@@ -126,16 +127,22 @@ class Regression:
                 known_by[:, channels] += before[0]
         return Explained(own, own_by, known, known_by)
 
-    def _sums(self, signs: np.ndarray, part: np.ndarray, pictures: int) -> tuple[np.ndarray, ...]:
-        """By picture, over the tiles in this part: (P, F, F), (D, P, F, 3) and (P, F)."""
-        gram, slope, support = (
-            np.stack(a) * part.reshape(-1, *(1,) * a[0].ndim)
-            for a in (self._gram, self._slope, self._support)
-        )
-        gram, slope, support = (a.reshape(pictures, -1, *a.shape[1:]) for a in (gram, slope, support))
-        flat = slope.reshape(*slope.shape[:2], -1)
-        signed = signs.reshape(len(signs), pictures, -1).swapaxes(0, 1) @ flat
-        return gram.sum(1), signed.swapaxes(0, 1).reshape(len(signs), pictures, -1, 3), support.sum(1)
+
+def _by_picture(
+    gram: np.ndarray,
+    slope: np.ndarray,
+    support: np.ndarray,
+    signs: np.ndarray,
+    part: np.ndarray,
+    pictures: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sums of what is kept by tile over those in a part: (P, F, F), (D, P, F, 3) and (P, F)."""
+    counts = part.astype(float).reshape(pictures, -1)
+    signed = signs.reshape(len(signs), pictures, -1) * counts
+    gram, slope, support = (a.reshape(*counts.shape, *a.shape[1:]) for a in (gram, slope, support))
+    slopes = signed.swapaxes(0, 1) @ slope.reshape(*counts.shape, -1)
+    slopes = slopes.swapaxes(0, 1).reshape(len(signs), pictures, -1, 3)
+    return np.einsum("pt,ptij->pij", counts, gram), slopes, np.einsum("pt,pti->pi", counts, support)
 
 
 def _beyond(
@@ -154,7 +161,7 @@ def _beyond(
     known = _solved(inner, slope[:, :, :given], support[:, :given])
     shared = _solved(inner, across, support[:, :given])
     back = across.swapaxes(1, 2)
-    before = (known * (2 * slope[:, :, :given] - inner @ known)).sum(2)
+    before = _gained(known, inner, slope[:, :, :given])
     left = gram[:, given:, given:] - back @ shared
     return left, slope[:, :, given:] - back @ known, before, support[:, given:]
 

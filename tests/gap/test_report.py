@@ -177,3 +177,15 @@ def test_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="cannot be written"):
         write_report(REPORT, PICTURES, tmp_path / "file")
+
+
+def test_each_picture_stands_where_it_belongs():
+    """The camera's first, the simulator's beside it, what is off under that; whatever is absent."""
+    columns = re.findall(r'grid-column:(\d)"><img src="[^"]+" alt="[^"]*: ([a-z ,]+)', html(REPORT, PICTURES))
+    places = [(text.strip(" ,"), int(column)) for column, text in columns]
+    assert places == [
+        ("the camera", 1), ("simulator, before", 2), ("simulator, after", 3),
+        ("difference before", 2), ("difference after", 3),
+    ]  # fmt: skip
+    alone = {key: PICTURES[key] for key in ("name", "target", "before")}
+    assert re.findall(r'grid-column:(\d)"', html(REPORT, alone)) == ["1", "2"]

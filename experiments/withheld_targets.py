@@ -1,6 +1,6 @@
 """What must be reached, beside what was: results of `study`, whatever files they are in, as one table.
 
-    python -m experiments.withheld.targets docs/results/withheld-1[4-9]-*.json -o docs/results/targets.md
+    python -m experiments.withheld_targets docs/results/withheld-1[4-9]-*.json -o docs/results/targets.md
 
 A case in more than one file counts as the last has it.
 """
@@ -12,10 +12,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from jaxisp.gap import EFFECTS
-
-from .effects import ABSORBABLE, KINDS
-from .tables import (
+from experiments.withheld.effects import ABSORBABLE, KINDS
+from experiments.withheld.tables import (
     axis_right,
     both_found,
     collected,
@@ -30,9 +28,13 @@ from .tables import (
     truth,
     with_each,
 )
+from jaxisp.gap import EFFECTS
 
 Record = dict[str, Any]
 SPLITS = ("sealed", "develop")
+LATEST = ("elm", "fig")
+"""The bodies that came last."""
+TITLES = {kind: kind.replace("raw+jpeg", "RAW+JPEG") for kind in KINDS}
 HEAD = """# What must be reached
 
 Cameras that share no code with the package, whose effect the diagnosis is not told. Of single effects and of
@@ -40,14 +42,15 @@ strangers those count whose gap is at least twice the floor; effects that a fitt
 apart. In brackets Wilson's 95 % interval, and after each figure how many cases it is of.
 
 ```sh
-python -m experiments.withheld.targets {files} -o {page}
+python -m experiments.withheld_targets {files} -o {page}
 ```
 
 """
 BODY = """{0}
 ## The bodies that came last alone
 
-{1}, by the version that stands.
+{1}: by the version that stands, or by ones that differ from it in the axes of RAW+JPEG pairs alone (the
+[guide](../diagnosis.md) says which of these were looked at again).
 
 {2}
 ## By effect
@@ -120,10 +123,6 @@ MUST = {
 }  # fmt: skip
 
 
-LATEST = ("elm", "fig")
-"""The bodies that came last, and are by the version that stands."""
-
-
 def by_effect(records: Sequence[Record]) -> str:
     """The table of effects, each by the cases whose gap is at least twice the floor."""
     rows: dict[tuple[str, str], dict[str, list[Record]]] = {}
@@ -139,7 +138,7 @@ def by_effect(records: Sequence[Record]) -> str:
     for (split, name), by in sorted(rows.items(), key=lambda row: (SPLITS.index(row[0][0]), row[0][1])):
         lines.append([name, split, *(cell for kind in KINDS for cell in cells(by[kind]))])
     sums = [sum(line[i] for line in lines) for i in range(2, 2 + 3 * len(KINDS))]
-    columns = [f"{kind.replace('raw+jpeg', 'RAW+JPEG')}: {what}"
+    columns = [f"{TITLES[kind]}: {what}"
                for kind in KINDS for what in ("cases", "first", "axis")]  # fmt: skip
     return table(["effect", "split", *columns], [*lines, ["**all**", "", *sums]])
 
@@ -157,7 +156,7 @@ def targets(records: Sequence[Record]) -> str:
         columns += [singles(by["sealed"]) | others(by), singles(by["develop"])]
     head = [
         "",
-        *(f"{kind.replace('raw+jpeg', 'RAW+JPEG')}, {split}" for kind in KINDS for split in SPLITS),
+        *(f"{TITLES[kind]}, {split}" for kind in KINDS for split in SPLITS),
         "must",
     ]
     return table(head, [[name, *(c.get(name, "") for c in columns), must] for name, must in MUST.items()])
