@@ -138,6 +138,7 @@ class _Evidence:
         scenes = scenes[:scored]
         self._known = features.REGRESSIONS | {"cfa_phase": features.cfa_features(period)}
         self._regressions = {axis: Regression(given) for axis, (_, given) in self._known.items()}
+        self._displaced = Regression((4, 4, 4))
         self._lag = [Regression((1, 1, 1)) for _ in range(3)]
         self._rows, self._columns = Lines(), Lines()
         self._repeated, self._tail = Repeated(scenes), Tail(rng)
@@ -157,6 +158,7 @@ class _Evidence:
             self._regressions[axis].add(
                 build(scene), polar if axis in POLAR_AXES else residual, weight, self._tiles
             )
+        self._displaced.add(features.displaced(scene), residual, weight, self._tiles)
         self._add_places(scene, residual, weight)
         self._add_blocks(scene, residual * weight[..., None])
         flat = _flat(scene.edge, weight)
@@ -228,10 +230,10 @@ class _Evidence:
     def axes(self) -> dict[str, Find]:
         """By axis, the energy explained for given signs."""
         bins, lines = self._bins, (self._rows, self._columns)
-        own = self._scored * len(self._tiles.slices)  # the tiles of the pictures that are scored
+        scored = self._scored * len(self._tiles.slices)  # the tiles of the pictures that are scored
 
         def alone(find: Find) -> Find:
-            return lambda signs, tiles: find(signs[:, :own], tiles)
+            return lambda signs, tiles: find(signs[:, :scored], tiles)
 
         def row(signs: np.ndarray, tiles: Tiles) -> Explained:
             return _larger(bins["row"].explained(signs, tiles), lines[0].explained(signs, tiles))
@@ -248,12 +250,21 @@ class _Evidence:
                 found = _larger(found, Explained(on.own - off.own, on.own_by - off.own_by))
             return found
 
+        def edge(signs: np.ndarray, tiles: Tiles) -> Explained:
+            own = self._displaced.nearby(signs[:, :scored], tiles)
+            return _larger(self._regressions["edge"].explained(signs, tiles), own)
+
+        def neighbourhood(signs: np.ndarray, tiles: Tiles) -> Explained:
+            regression = self._regressions["neighbourhood"]
+            return _larger(regression.explained(signs, tiles), regression.shared(signs, tiles))
+
         def lag(signs: np.ndarray, tiles: Tiles) -> Explained:
             parts = [r.explained(signs, tiles) for r in self._lag]
             return Explained(np.sum([p.own for p in parts], 0), np.sum([p.own_by for p in parts], 0))
 
         found: dict[str, Find] = {axis: r.explained for axis, r in self._regressions.items()}
         found |= {"row": row, "column": column, "block_phase": block_phase, "lag": lag}
+        found |= {"edge": edge, "neighbourhood": neighbourhood}
         found["tail"] = self._tail.explained
         if self._scenes >= 3:
             found["fixed_pattern"] = alone(self._repeated.explained)

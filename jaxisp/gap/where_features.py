@@ -135,6 +135,11 @@ def _edge(s: Scene) -> Planes:
     return [*s.bands, *_value(s), s.edge, *s.down, *s.right, *steep, *bounded]
 
 
+def displaced(s: Scene) -> Planes:
+    """The picture, and what a displacement of it changes."""
+    return [s.one, *s.planes, *s.down, *s.right]
+
+
 def _value(s: Scene) -> Planes:
     return [s.one, *s.planes, *_hinges(s)]
 

@@ -3,7 +3,7 @@
 Each score keeps sums by tile, so that flipping the sign of a tile's residual costs next to nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,13 @@ class Tiles:
         """(D, down, across) of one scene's signs, out of all (D, B)."""
         own = signs[:, scene * len(self.slices) : (scene + 1) * len(self.slices)]
         return own.reshape(len(signs), -1, self.across)
+
+    def around(self, sums: np.ndarray) -> np.ndarray:
+        """(B, ...) sums over the up to eight tiles around each of (B, ...)."""
+        grid = sums.reshape(-1, len(self.slices) // self.across, self.across, *sums.shape[1:])
+        padded = np.pad(grid, [(0, 0), (1, 1), (1, 1), *[(0, 0)] * (sums.ndim - 1)])
+        across = padded[:, :, :-2] + padded[:, :, 1:-1] + padded[:, :, 2:]
+        return (across[:, :-2] + across[:, 1:-1] + across[:, 2:] - grid).reshape(sums.shape)
 
     def by_picture(self, scores: np.ndarray) -> np.ndarray:
         """(N, 3) sums over the tiles of each, out of all (B, 3)."""
@@ -109,6 +116,13 @@ class Regression:
             self._support.append(w[:, 0] @ (f != 0))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        return self._summed(signs, tiles, _scored)
+
+    def shared(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Where all pictures have in common also what the first features explain."""
+        return self._summed(signs, tiles, _scored_alike)
+
+    def _summed(self, signs: np.ndarray, tiles: Tiles, score: "_Score") -> Explained:
         pictures = tiles.count // len(tiles.slices)
         kept = np.stack(self._gram), np.stack(self._slope), np.stack(self._support)
         own, known = np.zeros((2, len(signs), 3))
@@ -117,15 +131,55 @@ class Regression:
             learnt, scored = (_by_picture(*kept, signs, part, pictures) for part in (learn, test))
             for given in set(self.given):
                 channels = [c for c, count in enumerate(self.given) if count == given]
-                gram, slope, _, support = _beyond(given, channels, *learnt)
-                found = _solved(gram.sum(0), slope.sum(1), support.sum(0))
-                gram, slope, before, _ = _beyond(given, channels, *scored)
-                gain = _gained(found, gram.sum(0), slope.sum(1))
-                own[:, channels] += gain
-                own_by[:, channels] += _gained(found[0], gram, slope[0])
+                gain, before = score(given, channels, learnt, scored)
+                own[:, channels] += gain.sum(1)
+                own_by[:, channels] += gain[0]
                 known[:, channels] += before.sum(1)
                 known_by[:, channels] += before[0]
         return Explained(own, own_by, known, known_by)
+
+    def nearby(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Of each tile what those around it say, beyond what the first features explain of either: the
+        coefficients may differ from place to place."""
+        counted = signs.shape[1]
+        gram, slope, support = (np.stack(a)[:counted] for a in (self._gram, self._slope, self._support))
+        by_tile = np.zeros((len(signs), counted, 3))
+        for given in set(self.given):
+            channels = [c for c, count in enumerate(self.given) if count == given]
+            left, beyond, _, seen = _beyond(given, channels, gram, slope[None], support)
+            learnt = _solved(tiles.around(left), np.eye(left.shape[-1]), tiles.around(seen))
+            for draw, row in enumerate(signs):
+                own = row[:, None, None] * beyond[0]
+                by_tile[draw][:, channels] = _gained(learnt @ tiles.around(own), left, own)
+        return Explained(by_tile.sum(1), tiles.by_picture(by_tile[0]))
+
+
+_Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Score = Callable[[int, Sequence[int], _Sums, _Sums], tuple[np.ndarray, np.ndarray]]
+
+
+def _scored(
+    given: int, channels: Sequence[int], learnt: _Sums, scored: _Sums
+) -> tuple[np.ndarray, np.ndarray]:
+    """(D, P, C) twice, of what is scored: what the last features explain of it, learnt elsewhere, and what
+    the first `given` do, each picture for itself."""
+    gram, slope, _, support = _beyond(given, channels, *learnt)
+    found = _solved(gram.sum(0), slope.sum(1), support.sum(0))
+    gram, slope, before, _ = _beyond(given, channels, *scored)
+    return _gained(found[:, None], gram, slope), before
+
+
+def _scored_alike(
+    given: int, channels: Sequence[int], learnt: _Sums, scored: _Sums
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_scored`, where what the first `given` features explain is learnt elsewhere too."""
+    gram, slope, support = (a.sum(axis) for a, axis in zip(learnt, (0, 1, 0)))
+    gains = []
+    for count in (given, len(gram)):
+        found = _solved(gram[:count, :count], slope[:, :count][..., channels], support[:count])
+        own = scored[0][:, :count, :count], scored[1][:, :, :count][..., channels]
+        gains.append(_gained(found[:, None], *own))
+    return gains[1] - gains[0], gains[0]
 
 
 def _by_picture(
