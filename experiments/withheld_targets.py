@@ -2,7 +2,8 @@
 
     python -m experiments.withheld_targets docs/results/withheld-1[4-9]-*.json -o docs/results/targets.md
 
-A case in more than one file counts as the last has it.
+A case in more than one file counts as the last has it. `--axes` names results of `study --untried`: where
+the gaps of their cases lie is taken from there.
 """
 
 import argparse
@@ -42,15 +43,23 @@ strangers those count whose gap is at least twice the floor; effects that a fitt
 apart. In brackets Wilson's 95 % interval, and after each figure how many cases it is of.
 
 ```sh
-python -m experiments.withheld_targets {files} -o {page}
+python -m experiments.withheld_targets {files}{axes} -o {page}
+```
+{located}
+"""
+LOCATED = """
+Axes are those of the gap that the base leaves, whatever is tried then: of RAW+JPEG pairs they were
+taken again by the version that stands, nothing being tried.
+
+```sh
+{0}
 ```
 
 """
 BODY = """{0}
 ## The bodies that came last alone
 
-{1}: by the version that stands, or by ones that differ from it in the axes of RAW+JPEG pairs alone (the
-[guide](../diagnosis.md) says which of these were looked at again).
+{1}: by the version that stands, or by ones that differ from it in the axes of RAW+JPEG pairs alone.
 
 {2}
 ## By effect
@@ -171,13 +180,29 @@ def by_body(records: Sequence[Record]) -> str:
     return table(["kind", "split", "cases"], [[*key, ", ".join(found)] for key, found in rows.items()])
 
 
+def located(records: Sequence[Record], again: Sequence[Record]) -> list[Record]:
+    """The records with the axes that their cases have in others, where they are among those."""
+    where = {r["case"]: r["where"] for r in again if "failed" not in r}
+    return [r | {"where": where[r["case"]]} if r["case"] in where else r for r in records]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", type=Path, nargs="+")
     parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--axes", type=Path, nargs="+", default=[], help="results of `study --untried`")
     arguments = parser.parse_args()
     records, _ = collected(arguments.results)
-    head = HEAD.format(files=" ".join(map(str, arguments.results)), page=arguments.out)
+    again, commands = collected(arguments.axes)
+    records = located(records, again)
+    head = HEAD.format(
+        files=" ".join(map(str, arguments.results)),
+        axes=" --axes " * bool(again) + " ".join(map(str, arguments.axes)),
+        page=arguments.out,
+        located=LOCATED.format("\n".join(f"python -m experiments.withheld.study {c}" for c in commands))
+        if again
+        else "",
+    )
     latest = [r for r in records if r["body"] in LATEST]
     run = [r for r in records if "failed" not in r]
     tables = targets(records), " and ".join(LATEST), targets(latest), by_effect(run), by_body(records)

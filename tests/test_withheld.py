@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from skimage.color import rgb2gray
 
 from experiments.withheld import effects
 from experiments.withheld.bodies import BODIES, Noise, _by_name
@@ -16,7 +17,7 @@ from experiments.withheld.camera import KINDS, Shot, before_body, develop, expos
 from experiments.withheld.demosaic import DEMOSAICKERS, demosaic, mosaicked
 from experiments.withheld.libraw import SWITCHES, developed
 from experiments.withheld.outside import AXES as OUTSIDE_AXES
-from experiments.withheld.scenes import SETS, clutter, scenes
+from experiments.withheld.scenes import GREY, SETS, clutter, scenes
 from experiments.withheld.shoot import write
 from experiments.withheld.study import (
     _TOO_SMALL,
@@ -31,7 +32,7 @@ from experiments.withheld.study import (
     true_closure,
 )
 from experiments.withheld.tables import markdown, wilson
-from experiments.withheld_targets import targets
+from experiments.withheld_targets import located, targets
 from jaxisp.gap.effects import AXES
 from jaxisp.gap.verdict import NULL_DROP
 
@@ -231,6 +232,27 @@ def test_scene_sets_are_disjoint() -> None:
     assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(pictures) for b in pictures[:i])
 
 
+def test_grey_scenes_are_a_set_s_without_its_colours() -> None:
+    coloured, grey = scenes("two", 64, 3), scenes(GREY, 64, 3)
+    assert list(coloured) == list(grey)
+    for own, plain in zip(coloured.values(), grey.values()):
+        assert np.ptp(plain, axis=-1).max() == 0 and np.ptp(own, axis=-1).max() > 0.05
+        np.testing.assert_allclose(plain[..., 0], rgb2gray(own), atol=0.01)
+
+
+@pytest.mark.parametrize("split", ["sealed", "nulls"])
+def test_nothing_is_tried_where_axes_are_asked_for_alone(split: str) -> None:
+    hidden = []
+
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        hidden.append(exclude)
+        return report("unknown") | {"where": [{"axis": "edge"}], "gap": {"before": 9.0, "floor": 1.0}}
+
+    case = next(cases("raw+jpeg", split, ["alder"], [4]))
+    assert examine(case, diagnosis, size=64, count=2, untried=True)["where"] == ["edge"]
+    assert hidden == [sorted(effects.VOCABULARY)]
+
+
 def report(verdict: str, *causes: str) -> dict[str, object]:
     made = [{"effect": c, "alternatives": ["sharpening"], "closed": 0.7, "ci": [0.6, 0.9]} for c in causes]
     return {
@@ -333,6 +355,18 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     assert found["named where nothing is missing"][0].endswith(" (0/2)")
     both = found["two effects, either alone twice the floor: both found"]
     assert both[0].endswith(" (1/1)") and both[2] == "– (0)", "nobody looked at either alone"
+
+
+def test_axes_of_a_later_version_replace_those_of_their_cases_alone() -> None:
+    records = [{"case": name, "where": ["lag"], "verdict": "unknown"} for name in "abc"]
+    again = [
+        {"case": "a", "where": ["edge"], "verdict": "none"},
+        {"case": "b", "failed": "no"},
+        {"case": "d", "where": []},
+    ]
+    found = located(records, again)
+    assert [r["where"] for r in found] == [["edge"], ["lag"], ["lag"]]
+    assert {r["verdict"] for r in found} == {"unknown"} and records[0]["where"] == ["lag"]
 
 
 def test_a_case_that_fails_says_where_without_a_path() -> None:

@@ -20,13 +20,17 @@ PHOTOGRAPHS = {
     "three": (("chelsea.png", 0.5, 0.3), ("rocket.jpg", 0.6, 0.5), ("gravel.png", 0.5, 0.5)),
 }
 SETS = tuple(PHOTOGRAPHS)
+GREY = "grey"
+"""A palette too poor to tell colours by: set two without its colours."""
 Scenes = dict[str, np.ndarray]
 
 
 def scenes(name: str, size: int = 256, count: int = 8, folder: Path | None = None) -> Scenes:
     """The first `count` scenes of a set, or every third picture of `folder`."""
+    if name == GREY:
+        return {key: np.repeat(luma(p)[..., None], 3, -1) for key, p in scenes("two", size, count).items()}
     if name not in SETS:
-        raise ValueError(f"no scene set {name!r}: there are {', '.join(SETS)}")
+        raise ValueError(f"no scene set {name!r}: there are {', '.join((*SETS, GREY))}")
     if folder is not None:
         files = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".png", ".jpg", ".tif"))
         chosen = files[SETS.index(name) :: len(SETS)][:count]

@@ -33,7 +33,7 @@ from .effects import (
     shows_in,
     without_header,
 )
-from .scenes import SETS
+from .scenes import GREY, SETS
 
 _CASES = 12  # of one process: programs for every camera that it has seen come to gigabytes
 _TOO_SMALL = {"raw+jpeg": 1.05, "clean+noisy": 1.6}
@@ -103,9 +103,10 @@ def shuffled(found: Sequence[Case]) -> list[Case]:
 
 
 def examine(
-    case: Case, diagnose: Diagnose, size: int = 256, count: int = 8, frames: int = 1
+    case: Case, diagnose: Diagnose, size: int = 256, count: int = 8, frames: int = 1, untried: bool = False
 ) -> dict[str, Any]:
-    """Shoot one case, diagnose it, and keep the parts of the report that the tables need."""
+    """Shoot one case, diagnose it, and keep the parts of the report that the tables need; what it says with
+    no effect to try where `untried`."""
     record: dict[str, Any] = {"case": case.name, **asdict(case), "standing": BODIES[case.body].standing}
     write = libraw.write if case.split == "libraw" else shoot.write
     with tempfile.TemporaryDirectory() as folder:
@@ -113,7 +114,7 @@ def examine(
             taken = {"size": size, "count": count} | ({"frames": frames} if frames > 1 else {})
             write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes, **taken)
             began = time.perf_counter()
-            report = _report(case, Path(folder), diagnose)
+            report = _report(case, Path(folder), diagnose, untried)
         except Exception as error:
             places = traceback.extract_tb(error.__traceback__, limit=-4)  # no paths: results are published
             trace = [f"{Path(own.filename).name}:{own.lineno} {own.name}" for own in places]
@@ -125,9 +126,11 @@ def examine(
     return record
 
 
-def _report(case: Case, folder: Path, diagnose: Diagnose) -> Report:
+def _report(case: Case, folder: Path, diagnose: Diagnose, untried: bool) -> Report:
     """Of nulls nothing is tried at first: in a gap that is too small nothing would be looked for."""
     every = sorted(VOCABULARY)
+    if untried:
+        return diagnose(folder, exclude=every)
     if case.split == "nulls":
         report = diagnose(folder, exclude=every)
         if report["gap"]["before"] < _TOO_SMALL[case.kind] * report["gap"]["floor"]:
@@ -248,10 +251,13 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--split", nargs="+", choices=SCENES, required=True)
     parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted({*BODIES} - {*LATER}))
     parser.add_argument("--strengths", nargs="+", type=int, choices=LEVELS, default=LEVELS)
-    parser.add_argument("--scenes", choices=SETS, default="", help="instead of the split's own set")
+    parser.add_argument("--scenes", choices=(*SETS, GREY), default="", help="instead of the split's own set")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--count", type=int, default=8, help="scenes in a data set")
     parser.add_argument("--frames", type=int, default=1, help="of each scene")
+    parser.add_argument(
+        "--untried", action="store_true", help="try no effect: where a base's gap lies, alone"
+    )
     parser.add_argument("--skip", type=int, default=0, help="leave out as many: thresholds were set on them")
     parser.add_argument("--limit", type=int, help="end before this case")
     parser.add_argument("--jobs", type=int, default=1)
@@ -266,7 +272,7 @@ def main() -> None:
     arguments = parse()
     from jaxisp.gap import diagnose_folder
 
-    options = {key: getattr(arguments, key) for key in ("size", "count", "frames")}
+    options = {key: getattr(arguments, key) for key in ("size", "count", "frames", "untried")}
     asked = " ".join(sys.argv[1:]).replace(f"--out {arguments.out}", "").strip()
     run(chosen(arguments), diagnose_folder, arguments.out, arguments.jobs, options, asked)
 
