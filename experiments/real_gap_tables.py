@@ -1,6 +1,7 @@
 """The page of `real_gap`: what may be claimed of each set, as a table and as a sentence."""
 
 from collections.abc import Mapping, Sequence
+from math import log10
 from typing import Any
 
 from experiments.withheld.tables import left_by, table
@@ -27,8 +28,8 @@ python -m experiments.real_gap DATA --downstream --out docs/results/real-gap.jso
 
 Nobody knows their truth: what stands here is what the diagnosis says. Gaps of RAW+JPEG pairs are in squared
 8-bit steps, those of clean+noisy pairs in units of what is harmless or chance, squared; all are of pairs held
-out. Where no effect accounts for a gap, "after" is what it would be with what was refused, and denoisers
-are trained with that. In square brackets: 90 % intervals.
+out. Decibels are of these mean squares. Where no effect accounts for a gap, "after" is what it would be with
+what was refused, and denoisers are trained with that. In square brackets: 90 % intervals.
 """
 
 
@@ -110,7 +111,7 @@ def claim(record: Record) -> str:
         each = [words(c) + (f" (or {any_of(alike(record, c))})" if alike(record, c) else "") for c in added]
         text += f", {number(least)} after adding {listed(each)}"
         text += "" if nearest(record) is None else ", which does not account for it"
-    text += f", floor {number(gap['floor'])}"
+    text += f", floor {number(gap['floor'])} ({levels(gap, least, bool(added))})"
     if record["axes"]:
         text += f", on these axes: {listed([words(a['axis']) for a in record['axes']])}"
     if not added:
@@ -121,6 +122,12 @@ def claim(record: Record) -> str:
     if following := record["unexplained"].get("next_measurement"):
         text += f". What could tell more: {following}"
     return f"{text}."
+
+
+def levels(gap: Mapping[str, float], least: float, closed: bool) -> str:
+    """The gaps in decibels above the floor, which every kind of data has."""
+    before, end = (10 * log10(max(own / gap["floor"], 1.0)) for own in (gap["before"], least))
+    return f"{before:.1f} dB above it before" + f", {end:.1f} dB left" * closed
 
 
 def denoisers(record: Record) -> str:

@@ -161,12 +161,14 @@ def test_the_page_says_the_figures(data: Path, fake: Diagnose, tmp_path: Path) -
     )
     axes = "on these axes: row, colour filter phase and noise correlation"
     for said in (
-        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1, {axes}. Of the most "
+        f"A gap of 20, 10.1 after adding chroma denoising (or optical blur), floor 1 (13.0 dB above it "
+        f"before, 10.0 dB left), {axes}. Of the most "
         "that any model of ours reduces (lowest: retrained), the named effects are 90\N{NO-BREAK SPACE}%. "
         "What could tell more: a slanted edge.\n",
-        f"A gap of 21, 11 after adding double compression, which does not account for it, floor 1, {axes}.\n",
-        f"A gap of 23, floor 1, {axes}; no effect comes near it.\n",
-        "A gap of 24, floor 1; so near the floor that nothing is missing.\n",
+        f"A gap of 21, 11 after adding double compression, which does not account for it, floor 1 "
+        f"(13.2 dB above it before, 10.4 dB left), {axes}.\n",
+        f"A gap of 23, floor 1 (13.6 dB above it before), {axes}; no effect comes near it.\n",
+        "A gap of 24, floor 1 (13.8 dB above it before); so near the floor that nothing is missing.\n",
         "| 25.00 dB (0.10) without, 27.00 dB (0.10) with row noise, 26.00 dB (0.10) on real pairs; noisy "
         "pictures 24.00 dB |",
         "| none: no effect comes near |",
