@@ -40,7 +40,6 @@ _SITES = {
     "encoded": "the encoded picture",
     "output": "what the file holds",
 }
-_FARTHER = "takes pixels farther away"
 
 
 def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder: str | Path) -> Path:
@@ -270,7 +269,7 @@ def _status(row: Mapping[str, Any]) -> str:
     """What came of a candidate, with names in words; "" where it was only not good enough."""
     if row["status"] == "accepted":
         return "found"
-    said = row.get("reason") or ("" if row.get("possible", True) else _FARTHER)
+    said = row.get("reason", "")
     return " ".join(words(word) if "_" in word else word for word in said.split())
 
 

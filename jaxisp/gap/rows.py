@@ -10,9 +10,9 @@ import numpy as np
 from jaxisp.gap import advice
 from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.model import Model
-from jaxisp.gap.refit import Trial
+from jaxisp.gap.refit import SMALLEST, Trial
 from jaxisp.gap.verdict import Found
-from jaxisp.gap.which import told_by_pixels
+from jaxisp.gap.which import LEADING, told_by_pixels
 from jaxisp.pipeline import Gate, Params
 
 
@@ -72,6 +72,11 @@ def _p_value(z: float, tried: int) -> float:
     return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
 
 
+FARTHER = "takes pixels farther away"
+NO_MORE = "closes no more than effects do where nothing is missing"
+NOT_SURE = "the pairs are too few to be sure of it"
+LEADS_LITTLE = "closes less than the quarter that a first cause must"
+NO_ACCOUNT = "does not account for the gap"
 HIDDEN = "these pairs hardly show it, however strong"
 TAKEN_UP = "taken up by the base fit"
 STATED = "the file's header states it"
@@ -79,10 +84,27 @@ NO_HEADER = "without the file's header nothing tells it from the file's own comp
 """Why a candidate was not named; any of `ranking`'s reasons."""
 
 
+def _refusal(trial: Trial, found: Found) -> str | None:
+    """Why an effect that was refitted is no cause, where its interval does not say so itself."""
+    causes = [t for t, _ in found.causes]
+    if causes and told_by_pixels(causes[0], trial):
+        return f"takes pixels less near than {causes[0].effect}"
+    if not trial.possible:
+        return FARTHER
+    if trial.low <= SMALLEST:
+        return None
+    if not trial.accepted:
+        return NOT_SURE if trial.low > trial.least else NO_MORE
+    if causes:
+        return "closes too little beside " + " and ".join(t.effect for t in causes)
+    return LEADS_LITTLE if trial.closed < LEADING else NO_ACCOUNT
+
+
 def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
-    possible: it takes pixels no farther away. What was not tried closes nothing.
+    possible: it takes pixels no farther away. What was not tried closes nothing. What was not accepted though
+    its interval is above `SMALLEST` says why, and what was not tried.
 
     Args:
         found: by the search.
@@ -104,8 +126,8 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
             row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
         elif name in found.hidden:
             row |= {"status": "not_identifiable", "reason": HIDDEN}
-        elif trial is not None and found.causes and told_by_pixels(found.causes[0][0], trial):
-            row |= {"reason": f"takes pixels less near than {found.causes[0][0].effect}"}
+        elif trial is not None and (why := _refusal(trial, found)):
+            row |= {"reason": why}
         rows.append(row)
     for name, why in apart.items():
         if name not in found.promises:

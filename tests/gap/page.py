@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 from jaxisp.gap.report import html
-from jaxisp.gap.rows import TAKEN_UP
+from jaxisp.gap.rows import FARTHER, TAKEN_UP
 from jaxisp.gap.spectra import spreads
 
 CAUSE = {
@@ -57,6 +57,7 @@ REPORT = {
             "status": "rejected",
             "ci": [0.2, 0.4],
             "possible": False,
+            "reason": FARTHER,
         },
         {"effect": "sharpening", "closed": 0.1, "status": "rejected", "predicted": 0.1},
         {"effect": "white_balance", "closed": -0.02, "status": "absorbed", "reason": TAKEN_UP},

@@ -1,10 +1,22 @@
 """The rows of the ranking."""
 
 import numpy as np
+import pytest
 
 from jaxisp.gap.account import Shown
 from jaxisp.gap.refit import Trial
-from jaxisp.gap.rows import HIDDEN, NO_HEADER, STATED, TAKEN_UP, ranking_rows
+from jaxisp.gap.rows import (
+    FARTHER,
+    HIDDEN,
+    LEADS_LITTLE,
+    NO_ACCOUNT,
+    NO_HEADER,
+    NO_MORE,
+    NOT_SURE,
+    STATED,
+    TAKEN_UP,
+    ranking_rows,
+)
 from jaxisp.gap.verdict import Found
 
 
@@ -54,3 +66,25 @@ def test_what_pixels_tell_from_the_cause_says_so():
         "luma_denoising": ("rejected", "takes pixels less near than optical_blur"),
         "double_compression": ("not_identifiable", NO_HEADER),
     }
+
+
+@pytest.mark.parametrize(
+    "changed, said",
+    [
+        ({}, NO_ACCOUNT),
+        ({"closed": 0.2, "low": 0.15}, LEADS_LITTLE),
+        ({"low": 0.09}, NO_MORE),
+        ({"surely": 0.02}, NOT_SURE),
+        ({"farther": 0.3}, FARTHER),
+        ({"low": 0.04}, None),
+    ],
+)
+def test_an_effect_that_is_no_cause_though_its_interval_is_high_says_why(changed, said):
+    usual = {"before": 11.0, "after": 5.0, "closed": 0.6, "low": 0.5, "high": 0.7, "least": 0.1}
+    tried = Trial("sharpening", np.zeros(1), **usual | changed)
+    (row,) = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}), {}, 10.0)
+    assert row["status"] == "rejected" and row.get("reason") == said
+    beside = Trial("prnu", np.zeros(1), 11.0, 2.0, 0.9, 0.8, 1.0, 0.1)
+    rows = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}, [(beside, [])]), {}, 10.0)
+    told = "closes too little beside prnu" if said in (NO_ACCOUNT, LEADS_LITTLE) else said
+    assert rows[0].get("reason") == told
