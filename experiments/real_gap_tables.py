@@ -117,7 +117,7 @@ def claim(record: Record) -> str:
     if not added:
         none = "so near the floor that nothing is missing"
         text += f"; {none if record['verdict'] == 'none' else 'no effect comes near it'}"
-    if said := reached(gap, bool(record["causes"]), statistics=record["kind"] == "clean+noisy"):
+    if said := reached(gap, bool(record["causes"])):
         text += f". {said.removesuffix('.')}"
     if following := record["unexplained"].get("next_measurement"):
         text += f". What could tell more: {following}"

@@ -1,7 +1,8 @@
 """How far models that need no cause lower the gap: any effects, all of them at once, a network on the rest.
 
-What the named effects close is little or much only beside that. None is a bound: a network learns what few
-pairs teach, and all effects together may fit those pairs alone. The lowest gap of any counts.
+Of statistics, which no network predicts, it is what the fitted pairs differ in. What the named effects close
+is little or much only beside that. None is a bound: a network learns what few pairs teach, and all effects
+together may fit those pairs alone. The lowest gap of any counts.
 """
 
 import functools
@@ -16,6 +17,7 @@ import optax
 from flax import nnx
 from scipy.ndimage import gaussian_filter
 
+from jaxisp.gap.clean_noisy import StatisticsProblem
 from jaxisp.gap.learning import programs
 from jaxisp.gap.measured import Case, Gap, Split
 from jaxisp.gap.refit import searched
@@ -48,6 +50,8 @@ def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least
     if isinstance(problem, Problem):  # all effects fit the statistics of a few scenes, and no others
         found["all effects at once"] = _together(problem, case.offered, split)
         found["a small network on what is left"] = _network_leaves(problem, split)
+    elif isinstance(problem, StatisticsProblem):
+        found["what the fitted pairs still differ in, taken off"] = problem.left_by_shift(split)
     how = min(found, key=lambda name: found[name])
     could = gap.before - found[how]
     explained = (gap.before - after) / could if could > least * gap.unit else None

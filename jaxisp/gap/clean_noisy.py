@@ -17,7 +17,16 @@ from jaxisp.gap.model import Choice, Model
 from jaxisp.gap.noisy_codes import Codes
 from jaxisp.gap.noisy_mean import Maps, normalised_regressors
 from jaxisp.gap.noisy_start import noisier, placed, starts, told_by_noise
-from jaxisp.gap.noisy_units import by_place, emphasis, emphasised, noise_only, repeats, units, weights
+from jaxisp.gap.noisy_units import (
+    by_place,
+    emphasis,
+    emphasised,
+    left_by_shift,
+    noise_only,
+    repeats,
+    units,
+    weights,
+)
 from jaxisp.gap.noisy_where import credited, in_one_place, located
 from jaxisp.gap.residual import BORDER, Pairs, to_steps
 from jaxisp.gap.scenes import by_scene, scene_name
@@ -369,6 +378,10 @@ class StatisticsProblem:
         index = list(held)
         apart, scenes = self._apart(self.real)[index], self._scenes_of(index)
         return located(self.difference[index].mean(0), self._weights, apart, scenes)
+
+    def left_by_shift(self, split: Split) -> float:
+        """The held-out gap at the point, were statistics moved by what the fitted pairs differ in."""
+        return left_by_shift(self._apart(self.real), self._scale, self._weights, split.fit, split.held_out)
 
     def _apart(self, real: np.ndarray) -> np.ndarray:
         """(N, F) what these statistics of each pair differ in from the simulated ones, in units."""

@@ -1,6 +1,7 @@
 """Clean+noisy pairs: what difference of each statistic is harmless, and how much it counts."""
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -131,3 +132,22 @@ def weights(repeated: bool = False) -> np.ndarray:
 def present(weights: np.ndarray) -> np.ndarray:
     """(F,) bool, what pictures can show; emphasised or not."""
     return weights > 1e3 * _ABSENT
+
+
+def left_by_shift(
+    apart: np.ndarray, scale: np.ndarray, weights: np.ndarray, fit: Sequence[int], held: Sequence[int]
+) -> float:
+    """The gap of the held-out pairs where each statistic is moved by what the fitted pairs differ in, less
+    what chance and what is harmless have of that (the positive part of James and Stein 1961).
+
+    Args:
+        apart: (N, F) differences in units.
+        scale: (N, F) what they were multiplied by for that.
+        weights: (F,) of the statistics, which are in `scale`.
+        fit, held: pairs; what is learnt of the first is taken off the others.
+    """
+    learn, test = list(fit), list(held)
+    wanted = apart[learn].mean(0)
+    kept = np.clip(1 - weights / np.maximum(wanted**2, 1e-12), 0, 1)
+    shift = kept * wanted / np.maximum(scale[learn].mean(0), 1e-12)
+    return float(((apart[test] - scale[test] * shift).mean(0) ** 2).mean())

@@ -95,7 +95,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         warning=few_pairs(report).capitalize(),
         metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
         gap=_gap(report["gap"], bool(report["causes"])),
-        reducible=reached(report["gap"], bool(report["causes"]), statistics=statistics),
+        reducible=reached(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
         where=[_axis(w, statistics) for w in shown],
@@ -220,14 +220,13 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
     ]
 
 
-def reached(gap: Mapping[str, Any], named: bool, *, statistics: bool = False) -> str:
-    """How other models compare with the named effects, or without these; "" where there is none. They are
-    other effects alone where the data are statistics."""
+def reached(gap: Mapping[str, Any], named: bool) -> str:
+    """How other models compare with the named effects, or without these; "" where there is none."""
     found = gap.get("reducible") or {}
     if not finite(found.get("best")):
         return ""
     if not _lower(gap):
-        return "No other effect gets lower." if statistics else "No flexible model of ours gets lower."
+        return "No flexible model of ours gets lower."
     if not named or not finite(found.get("explained")):
         return f"The lowest that any model of ours reaches is {number(found['best'])} ({found['how']})."
     share, how = percent(found["explained"]), found["how"]

@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.ndimage import laplace
+from scipy.stats import norm
 
 from jaxisp.gap import ceiling
 from jaxisp.gap.measured import Gap, Split
+from jaxisp.gap.noisy_units import left_by_shift
 from jaxisp.gap.residual import Pairs, Problem
 
 
@@ -62,3 +64,23 @@ def test_where_nothing_can_be_lowered_no_share_is_said():
     found = ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [9.95], 0.1)
     assert found["best"] == 9.95 and found["explained"] is None
     assert ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [], 0.1)["best"] == 10.0
+
+
+@pytest.mark.parametrize("alike", [3.0, 0.0])
+def test_statistics_are_moved_by_what_the_fitted_pairs_have_in_common(alike):
+    """What all pairs differ in goes, but for what chance does to four; where that is all little moves."""
+    rng, statistics = np.random.default_rng(6), 20000
+    chance = 2.0 * rng.standard_normal((8, statistics))  # of the mean of four: 1, as a unit is
+    apart, scale = alike + chance, rng.uniform(0.5, 2, statistics) * np.ones((8, 1))
+    left = left_by_shift(apart, scale, np.ones(statistics), range(4), range(4, 8))
+    m = np.linspace(-9, 12, 200001)
+    moved = np.where(np.abs(m) > 1, m - 1 / m, 0)
+    expected = 1 + np.trapezoid((alike - moved) ** 2 * norm.pdf(m, alike), m)
+    assert left == pytest.approx(expected, rel=0.05) and expected < 2.6
+
+
+def test_pairs_that_are_measured_in_other_units_are_moved_by_as_much():
+    """By 2 of the statistic's own, where a half of the pairs is measured ten times as finely."""
+    scale = np.array([1.0, 1.0, 10.0, 10.0])[:, None] * np.ones((4, 50))
+    left = left_by_shift(scale * 200.0, scale, np.ones(50), (0, 1), (2, 3))
+    assert left == pytest.approx(0.05**2, rel=1e-3)  # 200 of a unit, shrunk by 1 / 200, ten times as large
