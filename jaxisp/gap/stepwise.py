@@ -255,7 +255,7 @@ def _needed(
     end, near = trials[-1], _apart(problem, split)
     for left_out in (t for t in trials[:-1] if t.effect not in terms.seen):
         rest = [t.effect for t in trials if t is not left_out]
-        found = _replayed(problem, start, rest, end.z, split, whole, terms.least)
+        found = replayed(problem, start, rest, end.z, split, whole, terms.least)
         as_good = found[-1].after - end.after < terms.least * whole.size
         if all(t.accepted for t in found) and as_good and _apart(problem, split) <= (1 + NEARER) * near:
             return _needed(problem, start, found, split, whole, terms)
@@ -267,7 +267,7 @@ def _apart(problem: Measured, split: Split) -> float:
     return distance(problem.take(split.held_out), problem.model.still(problem.z))
 
 
-def _replayed(
+def replayed(
     problem: Measured,
     start: tuple[Model, np.ndarray],
     names: Sequence[str],

@@ -101,6 +101,44 @@ def test_what_is_harmless_is_no_smaller_where_a_file_is_not_compressed(kind, lea
     assert large.unit == 10 and large.exceeds(0.5) and not large.exceeds(0.51)
 
 
+FOUND = [(trial("small", 1.0, 11.0, 8.0), ["a"]), (trial("large", 2.0, 8.0, 3.0), ["b"])]  # 0.3, then 0.5
+
+
+@pytest.mark.parametrize(("gaps", "measured"), [
+    ((4.0, 3.1), True), ((4.0, 3.6), False), ((8.0, 3.0), False), ((3.2, 3.1), False),
+])  # fmt: skip
+def test_causes_are_measured_in_the_order_they_are_told_in(monkeypatch, gaps, measured):
+    """The larger first, with what it closes alone; not where it would close less then, leave more than nulls'
+    chance, or make up for the other."""
+    again = [trial("large", 3.0, 11.0, gaps[0]), trial("small", 4.0, *gaps)]
+
+    def replayed(problem, start, names, end, split, whole, least):
+        assert (start, names, end) == ("start", ["large", "small"], [2.0])
+        problem.move_to(again[-1].z)
+        return again
+
+    monkeypatch.setattr(verdict, "replayed", replayed)
+    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(float(problem.z[0]), []))
+    problem, whole = Problem(), Whole(10.0, np.ones((1, 1)))
+    problem.move_to(np.array([2.0]))
+    case = Case("clean+noisy", problem, Split((0,), (1,)), np.ones(2), {}, [])
+    causes, after = verdict._as_added(case, "start", FOUND, Shown(2.0, []), whole, 0.05)
+    (first, alike), (second, _) = causes
+    assert (first.effect, alike, second.effect) == ("large", ["b"], "small")
+    assert (first.before, first.after) == (11.0, gaps[0] if measured else 6.0)
+    assert (second.before, second.after) == (first.after, gaps[1] if measured else 3.0)
+    assert problem.z == after.error == (4.0 if measured else 2.0)
+
+
+def test_what_was_found_in_order_is_not_fitted_again(monkeypatch):
+    monkeypatch.setattr(verdict, "replayed", None)
+    grain = [FOUND[0], (trial("film_grain", 0.0, 8.0, 3.0), [])]
+    for causes in (STEPS, grain, FOUND[:1]):
+        case = SimpleNamespace(stored=0.0)
+        found, after = verdict._as_added(case, None, causes, "after", None, 0.05)
+        assert found == by_closure(causes) and after == "after"
+
+
 def test_causes_come_by_what_they_close():
     small, large = trial("s", 0.0, 11.0, 8.0), trial("l", 0.0, 8.0, 3.0)  # 0.3, then 0.5
     assert by_closure([(small, ["a"])]) == [(small, ["a"])]
