@@ -249,7 +249,8 @@ def test_nothing_is_tried_where_axes_are_asked_for_alone(split: str) -> None:
         return report("unknown") | {"where": [{"axis": "edge"}], "gap": {"before": 9.0, "floor": 1.0}}
 
     case = next(cases("raw+jpeg", split, ["alder"], [4]))
-    assert examine(case, diagnosis, size=64, count=2, untried=True)["where"] == ["edge"]
+    found = examine(case, diagnosis, size=64, count=2, untried=True)
+    assert found["where"] == ["edge"] and found["gap"]["before"] == 9.0 and "ranking" not in found
     assert hidden == [sorted(effects.VOCABULARY)]
 
 

@@ -45,6 +45,8 @@ SCENES = {
     "deleted": "three", "libraw": "three",
 }  # fmt: skip
 """The scenes of each split; nulls come on all sets."""
+_UNTRIED = ("verdict", "gap", "where", "own_seconds")
+"""What is kept where nothing was tried."""
 _WITHOUT_TRUTH = ("nulls", "alone", "deleted", "libraw")
 """Where the share of the gap that an effect made is not asked for, or not known: LibRaw's change tone."""
 
@@ -120,7 +122,8 @@ def examine(
             trace = [f"{Path(own.filename).name}:{own.lineno} {own.name}" for own in places]
             return record | {"failed": repr(error), "trace": trace}
         record["seconds"] = round(time.perf_counter() - began, 2)
-    record |= kept(report)
+    found = kept(report)
+    record |= {name: found[name] for name in _UNTRIED} if untried else found
     if case.split == "nulls" or case.split not in _WITHOUT_TRUTH:
         record["statistics"] = counted(report)
     return record
