@@ -155,7 +155,8 @@ def _as_added(
     problem, end = case.problem, (case.problem.model, case.problem.z.copy())
     trials = replayed(problem, start, order, end[1], case.split, whole, 0.0)
     as_good = trials[-1].after - causes[-1][0].after < harmless * whole.size
-    if as_good and all(a.closed >= b.closed > SMALLEST for a, b in itertools.pairwise(trials)):
+    as_told = all(a.closed >= b.closed for a, b in itertools.pairwise(trials))
+    if as_good and as_told and all(t.low > SMALLEST for t in trials):
         return [(t, alike[t.effect]) for t in trials], shown(problem, case.split.held_out)
     _stand_at(problem, end, [])
     return by_closure(causes), after

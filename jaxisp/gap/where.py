@@ -4,8 +4,8 @@ Every axis is a regression of the residual on what that axis says of a pixel: it
 value, its place in the 8x8 grid. It is learnt on some scenes and scored on others, so that a share is
 neither a matter of many bins nor of one scene's layout; scenes that are not scored at all teach too, for few
 teach little. What a simpler axis says already is not counted twice: the neighbourhood, for one, counts at
-fixed luma, whatever each scene's own curve is. Significance comes from flipping the signs of whole tiles,
-with the largest of all axes as the reference.
+fixed luma, whatever each scene's own curve is, or else whatever the curve of all is. Significance comes from
+flipping the signs of whole tiles, with the largest of all axes as the reference.
 """
 
 from collections.abc import Callable, Sequence
@@ -251,10 +251,12 @@ class _Evidence:
             return found
 
         def edge(signs: np.ndarray, tiles: Tiles) -> Explained:
+            """Alike all over, or a displacement that differs from place to place and by scene."""
             own = self._displaced.nearby(signs[:, :scored], tiles)
             return _larger(self._regressions["edge"].explained(signs, tiles), own)
 
         def neighbourhood(signs: np.ndarray, tiles: Tiles) -> Explained:
+            """Beside each scene's own curve, or beside one of all: that of a scene is its whole light's."""
             regression = self._regressions["neighbourhood"]
             return _larger(regression.explained(signs, tiles), regression.shared(signs, tiles))
 

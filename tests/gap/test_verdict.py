@@ -105,7 +105,7 @@ FOUND = [(trial("small", 1.0, 11.0, 8.0), ["a"]), (trial("large", 2.0, 8.0, 3.0)
 
 
 @pytest.mark.parametrize(("gaps", "measured"), [
-    ((4.0, 3.1), True), ((4.0, 3.6), False), ((8.0, 3.0), False), ((3.2, 3.1), False),
+    ((5.0, 3.1), True), ((5.0, 3.6), False), ((8.0, 3.0), False), ((3.2, 3.1), False),
 ])  # fmt: skip
 def test_causes_are_measured_in_the_order_they_are_told_in(monkeypatch, gaps, measured):
     """The larger first, with what it closes alone; not where it would close less then, leave more than nulls'
