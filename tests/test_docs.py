@@ -165,7 +165,8 @@ def test_what_the_diagnosis_reaches_is_what_the_results_say():
     command = next(
         line for line in page.splitlines() if line.startswith("python -m experiments.withheld_targets")
     )
-    files, axes = (re.findall(r"docs/results/\S+\.json", part) for part in command.split(" --axes "))
+    results, _, located_in = command.partition(" --axes ")
+    files, axes = (re.findall(r"docs/results/\S+\.json", part) for part in (results, located_in))
     records, again = (collected(ROOT / name for name in names)[0] for names in (files, axes))
     found = targets(located(records, again))
     assert found in page and found.strip() in (ROOT / "docs/diagnosis.md").read_text()
