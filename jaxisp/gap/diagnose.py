@@ -269,14 +269,15 @@ def raw_case(
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
     place = (0, 0)
-    if loaded[0].jpeg is not None and "double_compression" in model.effects:
-        place = earlier_grid(to_steps(pairs.pictures)[..., 0])
-        model = prepare.with_earlier_grid(model, place)
-        if place == (0, 0):  # the file's own grid
-            indices = model.indices(["double_compression"])
-            references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
-        else:
-            seen = ("double_compression",)
+    if loaded[0].jpeg is not None:
+        place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # where the gap lies, tried or not
+        if "double_compression" in model.effects:
+            model = prepare.with_earlier_grid(model, place)
+            if place == (0, 0):  # the file's own grid
+                indices = model.indices(["double_compression"])
+                references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
+            else:
+                seen = ("double_compression",)
     problem = Problem(model, pairs, base.choices, base.rival)
     problem.weigh(problem.robust_weights())
     problem.references, problem.earlier = references, place
