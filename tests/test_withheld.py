@@ -387,7 +387,8 @@ def test_a_case_is_compared_with_one_in_a_file_like_its_own() -> None:
         assert compared == Case("clean+noisy", "nulls", "elm", ((plain, 1),), "two")
 
 
-def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("untried", [False, True])
+def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path, untried: bool) -> None:
     out = tmp_path / "results.json"
     first = list(cases("raw+jpeg", "nulls", ["alder"], [1], "two"))
 
@@ -395,7 +396,7 @@ def test_results_keep_the_commands_that_asked_for_them(tmp_path: Path) -> None:
         return report("none")
 
     for command, todo in (("--limit 1", first[:1]), ("--limit 1", first[:1]), ("--limit 2", first[:2])):
-        run(todo, diagnosis, out, 1, {"size": 64, "count": 2}, command)
+        run(todo, diagnosis, out, 1, {"size": 64, "count": 2, "untried": untried}, command)
     found = json.loads(out.read_text())
     assert found["commands"] == ["--limit 1", "--limit 2"] and len(found["cases"]) == 2
     assert all("statistics" in case for case in found["cases"].values())

@@ -45,7 +45,7 @@ SCENES = {
     "deleted": "three", "libraw": "three",
 }  # fmt: skip
 """The scenes of each split; nulls come on all sets."""
-_UNTRIED = ("verdict", "gap", "where", "own_seconds")
+_UNTRIED = ("verdict", "causes", "gap", "where", "own_seconds")
 """What is kept where nothing was tried."""
 _WITHOUT_TRUTH = ("nulls", "alone", "deleted", "libraw")
 """Where the share of the gap that an effect made is not asked for, or not known: LibRaw's change tone."""
