@@ -54,7 +54,6 @@ taken again by the version that stands, nothing being tried.
 ```sh
 {0}
 ```
-
 """
 BODY = """{0}
 ## The bodies that came last alone
