@@ -91,6 +91,11 @@ class Explained:
     known_by: np.ndarray | float = 0.0
 
 
+_Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Gram matrices, slopes and support of pictures, as `_by_picture` has them."""
+_Score = Callable[[int, Sequence[int], _Sums, _Sums], tuple[np.ndarray, np.ndarray]]
+
+
 class Regression:
     """Least squares on features; the first `given` of them, by channel, say what other axes say already. What
     these explain each picture says for itself: a scene's own curve is no matter of what lies around, though
@@ -122,7 +127,7 @@ class Regression:
         """Where all pictures have in common also what the first features explain."""
         return self._summed(signs, tiles, _scored_alike)
 
-    def _summed(self, signs: np.ndarray, tiles: Tiles, score: "_Score") -> Explained:
+    def _summed(self, signs: np.ndarray, tiles: Tiles, score: _Score) -> Explained:
         pictures = tiles.count // len(tiles.slices)
         kept = np.stack(self._gram), np.stack(self._slope), np.stack(self._support)
         own, known = np.zeros((2, len(signs), 3))
@@ -152,10 +157,6 @@ class Regression:
                 own = row[:, None, None] * beyond[0]
                 by_tile[draw][:, channels] = _gained(learnt @ tiles.around(own), left, own)
         return Explained(by_tile.sum(1), tiles.by_picture(by_tile[0]))
-
-
-_Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
-_Score = Callable[[int, Sequence[int], _Sums, _Sums], tuple[np.ndarray, np.ndarray]]
 
 
 def _scored(

@@ -23,10 +23,6 @@ def luma(a):
     return np.stack([a + ZERO, ZERO, ZERO], -1)
 
 
-def luma_of(a, pictures):
-    return a[..., None] * [1, 0, 0] + np.zeros_like(pictures)
-
-
 def chroma(cb, cr):
     return np.stack([ZERO, cb, cr], -1)
 
@@ -204,20 +200,21 @@ def test_surroundings_are_seen_beside_each_scene_s_own_curve():
 def test_what_moves_otherwise_in_each_scene_is_on_edges():
     """Rows slide one way or the other by scene: no displacement is common to all, nor to one scene."""
     rng = np.random.default_rng(14)
-    pictures = scenes(rng, 5, (112, 128))
-    slide = 0.4 * (np.arange(112)[:, None] / 56 - 1) * rng.choice((-1, 1), (5, 1, 1))
+    pictures = scenes(rng, 4, (240, 248))
+    slide = 0.4 * (np.arange(240)[:, None] / 120 - 1) * rng.choice((-1, 1), (4, 1, 1))
     moved = slide[..., None] * np.gradient(pictures, axis=2)
-    first, *_ = where(moved + rng.normal(size=pictures.shape), pictures, np.ones(moved.shape[:3]), rng=rng)
+    first, *_ = where(moved + rng.normal(size=pictures.shape), pictures, np.ones(pictures.shape[:3]), rng=rng)
     expected = np.mean(moved**2) / (np.mean(moved**2) + 1)
-    assert first["axis"] == "edge" and 0.4 < first["share"] < 1.05 * expected
+    # tiles at the border have neighbours on one side alone
+    assert first["axis"] == "edge" and 0.7 * expected < first["share"] < 1.05 * expected
 
 
 def test_light_of_the_whole_scene_is_its_surroundings():
     """As glare has it: bright scenes are lifted, dark ones are not, whatever a pixel's own value."""
     rng = np.random.default_rng(15)
     pictures = scenes(rng, 8, (96, 104))
-    around_all = pictures[..., 0].mean((1, 2), keepdims=True)
-    residual = luma_of(0.2 * (around_all - around_all.mean()), pictures) + rng.normal(size=pictures.shape)
+    light = pictures[..., 0].mean((1, 2))[:, None, None, None]
+    residual = 0.2 * (light - light.mean()) * [1, 0, 0] + rng.normal(size=pictures.shape)
     first, *_ = where(residual, pictures, np.ones(pictures.shape[:3]), rng=rng)
     assert first["axis"] == "neighbourhood"
 
