@@ -58,7 +58,8 @@ taken again by the version that stands, nothing being tried.
 BODY = """{0}
 ## The bodies that came last alone
 
-{1}: by the version that stands, or by ones that differ from it in the axes of RAW+JPEG pairs alone.
+{1}: by the version that stands, or by ones that differ from it in the axes of RAW+JPEG pairs and in how
+causes are measured that were found in another order.
 
 {2}
 ## By effect

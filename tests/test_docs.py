@@ -170,8 +170,22 @@ def test_what_the_diagnosis_reaches_is_what_the_results_say():
     records, again = (collected(ROOT / name for name in names)[0] for names in (files, axes))
     found = targets(located(records, again))
     assert found in page and found.strip() in (ROOT / "docs/diagnosis.md").read_text()
-    first = next(row for row in found.splitlines() if row.startswith("| right effect first")).split(" | ")
+    rows = {row.split(" | ")[0]: row.split(" | ") for row in found.splitlines()}
+    first = rows["| right effect first"]
     told = " ".join((ROOT / "README.md").read_text().split())
+    unknown, axis, both = (
+        [re.search(r"\((\d+)/(\d+)\)", rows[name][column]).groups() for column in (1, 3)]
+        for name in (
+            '| outside the vocabulary: "unknown"',
+            "| outside the vocabulary: right axis in the first three",
+            "| two effects, either alone twice the floor: both found",
+        )
+    )
+    said = (
+        "{} of {} and, in clean+noisy pairs, {} of {} are called unknown, and {} and {} are put on the right"
+    )
+    assert said.format(*unknown[0], *unknown[1], axis[0][0], axis[1][0]) in told
+    assert "found in {} of {} (RAW+JPEG) and {} of {} (clean+noisy)".format(*both[0], *both[1]) in told
     for cell, where in ((first[1], "RAW+JPEG pairs"), (first[3], "clean+noisy pairs")):
         share, hits, total = re.fullmatch(r"(\d+)% \[.*\] \((\d+)/(\d+)\)", cell).groups()
         assert re.search(rf"{share} % (are named first )?in {re.escape(where)} \({hits} of {total}\)", told)
