@@ -21,7 +21,7 @@ from jaxisp.gap.noisy_pairs import on_each_other
 from jaxisp.gap.null_bank import CLEAR, held_against_nulls
 from jaxisp.gap.refit import interval
 from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
-from jaxisp.gap.rows import NO_HEADER, STATED, TAKEN_UP, base_row, cause_row, ranking_rows
+from jaxisp.gap.rows import NO_COLOURS, NO_HEADER, STATED, TAKEN_UP, base_row, cause_row, ranking_rows
 from jaxisp.gap.scenes import split_of
 from jaxisp.gap.spectra import held_out_spreads
 from jaxisp.gap.stepwise import Tick
@@ -133,7 +133,7 @@ def _report(case: Case, gap: Gap, found: Found, base: tuple[Model, np.ndarray], 
     there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
     after = found.causes[-1][0].after if found.causes else gap.before
     apart = dict.fromkeys(problem.model.effects, STATED) | {"double_compression": NO_HEADER}
-    apart |= dict.fromkeys(case.absorbed, TAKEN_UP)
+    apart |= dict.fromkeys(case.absorbed, TAKEN_UP) | dict.fromkeys(case.unsaid, NO_COLOURS)
     tried = len(case.offered) + (case.stored is not None)  # and film grain
     causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
     ended = problem.model.params(problem.z) if causes else None
@@ -145,7 +145,7 @@ def _report(case: Case, gap: Gap, found: Found, base: tuple[Model, np.ndarray], 
     return {
         "schema": 1,
         "kind": case.kind,
-        "base": base_row(*base, case.absorbed, case.given, case.open_nodes, ended),
+        "base": base_row(*base, case.absorbed, case.given, (*case.open_nodes, *case.unsaid), ended),
         "pairs": {
             "fit": [names[i] for i in case.split.fit],
             "held_out": [names[i] for i in held],
@@ -284,11 +284,14 @@ def raw_case(
     stated = prepare.stated_by(loaded[0].jpeg)
     if loaded[0].jpeg is None:  # was compressed once, if at all
         stated.add("double_compression")
-    offered = [e.name for e in effects if e.name not in stated and e.name not in absorbed]
+    apart = stated | {*absorbed, *base.unsaid}
+    offered = [e.name for e in effects if e.name not in apart]
     stored = floor_difference(problem, [p.jpeg for p in loaded])
     floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
     grain = None if "film_grain" in exclude else stored
-    return Case(RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen)
+    return Case(
+        RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen, unsaid=base.unsaid
+    )
 
 
 def _statistics(rows: Rows) -> dict[str, Any]:

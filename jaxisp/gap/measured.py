@@ -118,6 +118,7 @@ class Case:
         given: what the base is, where it was given; None where a plain one was fitted.
         open_nodes: what of a given base was fitted beside its coordinates.
         seen: effects that the files themselves show, whatever else explains the gap.
+        unsaid: effects that are part of the base and that these pairs say nothing of.
         strays: pairs that were left out, since the base's tones do not carry over to them.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
     """
@@ -132,6 +133,7 @@ class Case:
     given: str | None = None
     open_nodes: tuple[str, ...] = ()
     seen: tuple[str, ...] = ()
+    unsaid: tuple[str, ...] = ()
     strays: tuple[str, ...] = ()
     reference: np.ndarray | None = None
 

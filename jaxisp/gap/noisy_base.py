@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxisp.gap.effects import Effect, Move
 from jaxisp.gap.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
-from jaxisp.gap.noisy_prior import TYPICAL
+from jaxisp.gap.palette import TYPICAL
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance

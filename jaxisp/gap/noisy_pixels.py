@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxisp.color import srgb_to_linear
 from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.noisy_prior import plain_prior, typical_matrix
+from jaxisp.gap.noisy_prior import plain_prior, usual_matrix
 from jaxisp.gap.noisy_sensor import find_sensor
 from jaxisp.gap.residual import Pairs, Problem, to_steps
 from jaxisp.gap.solve import fit
@@ -30,7 +30,7 @@ def fit_mean(
     camera = Camera(file, cfa or "RGGB")
     pairs = _scaled(pairs)
     gains = _gains(pairs, fit_on)
-    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(typical_matrix(gains), -4, 4)))}
+    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(usual_matrix(gains), -4, 4)))}
     problem = Problem(camera.mean_model(start), pairs)
     for steps in (5, 1, 1, 1, 1, 2):
         _fit(problem, fit_on, gains, steps)

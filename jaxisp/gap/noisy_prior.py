@@ -9,11 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxisp.gap.palette import typical_matrix
 from jaxisp.gap.residual import Problem
 
-TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
-"""What a phone's colour matrix has beside the identity; its rows keep white."""
-_SHARE = 0.5  # of it: a clean picture may be in sensor colours or in the display's
+_SHARE = 0.5  # of a phone's matrix: a clean picture may be in sensor colours or in the display's
 _SPREAD = {"matrix": 0.35, "scale": 1.0, "bend": 0.08, "offset": 0.4}
 _TILE = 32  # px: what is wrong with tones is alike over about so much
 
@@ -42,9 +41,9 @@ class Prior:
         return rows @ self.rows, rows @ (self.wanted - self.rows @ z)
 
 
-def typical_matrix(gains: np.ndarray) -> np.ndarray:
+def usual_matrix(gains: np.ndarray) -> np.ndarray:
     """(3, 3) from clean to encoded colours, in linear light, whose rows sum to the gains (3,)."""
-    return np.asarray(gains)[:, None] * (np.eye(3) + _SHARE * TYPICAL)
+    return typical_matrix(gains, _SHARE)
 
 
 def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> Prior:
@@ -52,14 +51,14 @@ def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> P
 
     Args:
         problem: noise-free; all of its base is fitted.
-        gains: (3,) of `typical_matrix`.
+        gains: (3,) of `usual_matrix`.
         fit_on: the pairs that are fitted.
     """
     model = problem.model
     at = {(c.node, c.move.field, c.move.index): k for k, c in enumerate(model.base)}
     matrix = np.asarray(model.shared["color_matrix"].matrix, float)
     offsets = np.asarray(model.shared["tone_curve"].offsets, float)
-    usual = typical_matrix(gains)
+    usual = usual_matrix(gains)
     rows, wanted = [], []
 
     def add(coefficients: dict[int, float], value: float, spread: float) -> None:

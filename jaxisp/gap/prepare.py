@@ -15,6 +15,7 @@ from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
 from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_freedom, rooted
+from jaxisp.gap.palette import is_colourless, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
@@ -106,12 +107,14 @@ class Base(NamedTuple):
         choices: how it may demosaick besides.
         rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
             them.
+        unsaid: effects that are part of it and that these pairs say nothing of: it has what is usual.
     """
 
     model: Model
     absorbed: Mapping[str, float] = MappingProxyType({})
     choices: Sequence[Choice] = ()
     rival: Choice | None = None
+    unsaid: tuple[str, ...] = ()
 
 
 def raw_model(
@@ -124,11 +127,18 @@ def raw_model(
         raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
     sampling = jpeg.subsampling if jpeg else "4:4:4"
     gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
-    matrix = _start(pairs, cfa, gains)
+    light = _balanced(pairs, cfa, gains)
+    matrix = start_matrix(light, pairs.pictures, pairs.mask)
     if np.allclose(gains, 1) and not raws[0].white_balanced:  # the file is silent: the matrix's own white
-        white = np.linalg.solve(matrix, np.ones(3))
+        white = np.linalg.lstsq(matrix, np.ones(3), rcond=None)[0]  # of grey scenes it may have rank one
         gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(loaded), 0)
-        matrix = _start(pairs, cfa, gains)
+        light = _balanced(pairs, cfa, gains)
+        matrix = start_matrix(light, pairs.pictures, pairs.mask)
+    # fitted to grey scenes it imitates what the file's compression took of the noise in their colours
+    grey = is_colourless(light, pairs.mask)
+    if grey:
+        shade = light.mean((0, 1, 2))
+        matrix = typical_matrix(matrix @ shade / (typical_matrix(np.ones(3)) @ shade))
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))
     per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
     parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
@@ -140,8 +150,11 @@ def raw_model(
         per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
     chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
     params["color_matrix"] = ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))
-    model = build(chain, params, per_pair, plain_freedom(), effects)
-    return fit_base(model, pairs, fit_on)
+    held = ("color_matrix",) if grey else ()
+    free = [c for c in plain_freedom() if c.node not in held]
+    base = fit_base(build(chain, params, per_pair, free, effects), pairs, fit_on)
+    said = {name: share for name, share in base.absorbed.items() if name not in held}
+    return base._replace(absorbed=said, unsaid=held)
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
@@ -226,7 +239,8 @@ def with_choice(chain: Chain) -> Chain:
     return Chain(tuple(nodes), chain.name)
 
 
-def _start(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
+def _balanced(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
+    """(N, H, W, 3) the mosaics, white balanced by (N, 3) gains and demosaicked."""
     rgb = []
     balanced, flat = (
         stage("mosaic_white_balance", cfa=cfa),
@@ -235,4 +249,4 @@ def _start(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
     for mosaic, gain in zip(pairs.light, gains):
         own = run(balanced, {balanced.name: WhiteBalance(gains=np.asarray(gain, np.float32))}, mosaic)
         rgb.append(np.asarray(run(flat, flat.init(), own)))
-    return start_matrix(np.stack(rgb), pairs.pictures, pairs.mask)
+    return np.stack(rgb)

@@ -80,6 +80,7 @@ NO_ACCOUNT = "does not account for the gap"
 HIDDEN = "these pairs hardly show it, however strong"
 TAKEN_UP = "taken up by the base fit"
 STATED = "the file's header states it"
+NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
 NO_HEADER = "without the file's header nothing tells it from the file's own compression"
 """Why a candidate was not named; any of `ranking`'s reasons."""
 
@@ -131,6 +132,6 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
         rows.append(row)
     for name, why in apart.items():
         if name not in found.promises:
-            status = "not_identifiable" if why == NO_HEADER else "absorbed"
+            status = "not_identifiable" if why in (NO_HEADER, NO_COLOURS) else "absorbed"
             rows.append({"effect": name, "closed": 0.0, "status": status, "reason": why})
     return sorted(rows, key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))

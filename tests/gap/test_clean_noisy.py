@@ -21,7 +21,7 @@ from jaxisp.gap.model import build, plain_freedom
 from jaxisp.gap.noisy_base import MIXING, Camera, noise_freedom, primaries
 from jaxisp.gap.noisy_pairs import clean_pairs, on_each_other
 from jaxisp.gap.noisy_pixels import fit_mean
-from jaxisp.gap.noisy_prior import TYPICAL
+from jaxisp.gap.palette import TYPICAL
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.scenes import split_of
 from jaxisp.io import write_png

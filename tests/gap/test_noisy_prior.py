@@ -7,7 +7,8 @@ import pytest
 from jaxisp.gap import noisy_pixels
 from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.noisy_pixels import fit_mean
-from jaxisp.gap.noisy_prior import TYPICAL, Prior, plain_prior, typical_matrix
+from jaxisp.gap.noisy_prior import Prior, plain_prior, usual_matrix
+from jaxisp.gap.palette import TYPICAL
 from jaxisp.gap.residual import Pairs, Problem
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
@@ -40,7 +41,7 @@ def pairs_of_few_colours() -> Pairs:
 @pytest.fixture
 def problem() -> Problem:
     gains = np.array([1.0, 0.8, 1.1])
-    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(typical_matrix(gains)))}
+    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(usual_matrix(gains)))}
     return Problem(Camera(None).mean_model(start), pairs_of_few_colours())
 
 

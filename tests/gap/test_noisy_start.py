@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from jaxisp.gap.noisy_base import MIXING, Camera, primaries
-from jaxisp.gap.noisy_prior import TYPICAL
 from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts, told_by_noise
 from jaxisp.gap.noisy_units import emphasis, emphasised, group_of, weights
+from jaxisp.gap.palette import TYPICAL
 from jaxisp.gap.prepare import candidates
 from jaxisp.gap.statistics import feature_names
 

@@ -1,0 +1,39 @@
+"""What colours say of a camera's colour matrix, and what it usually is where they say nothing."""
+
+import numpy as np
+
+TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
+"""What a phone's colour matrix has beside the identity; its rows keep white."""
+_COLOURLESS = 3e-5
+_BLOCK = 8
+
+
+def typical_matrix(gains: np.ndarray, share: float = 1.0) -> np.ndarray:
+    """(3, 3) in linear light, whose rows sum to the gains (3,); with this share of what a phone's has beside
+    the identity."""
+    return np.asarray(gains)[:, None] * (np.eye(3) + share * TYPICAL)
+
+
+def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
+    """Whether pictures are so grey that a matrix is fitted to their noise alone.
+
+    That has less than a thirty-thousandth of its mean square in any direction but grey and one more; scenes
+    of usual colours have some hundredths there, with a fortieth of their colours a grey one's share. Noise is
+    no colour: means of neighbouring blocks are multiplied, whose noise is independent.
+
+    Args:
+        light: (N, H, W, 3) linear, white balanced.
+        mask: (N, H, W) of the pixels that count.
+    """
+    n, height, width = mask.shape
+    rows, pairs = height // _BLOCK, width // (2 * _BLOCK)
+
+    def means(a: np.ndarray) -> np.ndarray:
+        a = a[:, : rows * _BLOCK, : 2 * pairs * _BLOCK]
+        return a.reshape(n, rows, _BLOCK, pairs, 2, _BLOCK, -1).mean((2, 5), dtype=float)
+
+    whole = (means(mask[..., None]) == 1).all((3, 4))
+    first, second = np.moveaxis(means(light)[whole], 1, 0)
+    shared = first.T @ second
+    spectrum = np.linalg.eigvalsh((shared + shared.T) / 2)
+    return bool(spectrum[1] < _COLOURLESS * spectrum.sum())
