@@ -14,9 +14,9 @@ from jaxisp.errors import InputError
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
-from jaxisp.gap.model import ROOTED, Choice, Model, build, plain_camera, plain_freedom, rooted
+from jaxisp.gap.model import ROOTED, Choice, Coordinate, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.palette import is_colourless, typical_matrix
-from jaxisp.gap.residual import Pairs, Problem, start_matrix
+from jaxisp.gap.residual import Pairs, Problem, floor_difference, floor_errors, start_matrix
 from jaxisp.gap.solve import fit
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
@@ -134,11 +134,6 @@ def raw_model(
         gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(loaded), 0)
         light = _balanced(pairs, cfa, gains)
         matrix = start_matrix(light, pairs.pictures, pairs.mask)
-    # fitted to grey scenes it imitates what the file's compression took of the noise in their colours
-    grey = is_colourless(light, pairs.mask)
-    if grey:
-        shade = light.mean((0, 1, 2))
-        matrix = typical_matrix(matrix @ shade / (typical_matrix(np.ones(3)) @ shade))
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))
     per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
     parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
@@ -149,12 +144,31 @@ def raw_model(
         own = [w or RectilinearWarp() for w in warps]
         per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
     chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
-    params["color_matrix"] = ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))
-    held = ("color_matrix",) if grey else ()
-    free = [c for c in plain_freedom() if c.node not in held]
-    base = fit_base(build(chain, params, per_pair, free, effects), pairs, fit_on)
-    said = {name: share for name, share in base.absorbed.items() if name not in held}
-    return base._replace(absorbed=said, unsaid=held)
+
+    def fitted(matrix: np.ndarray, free: Sequence[Coordinate]) -> Base:
+        start = params | {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
+        return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
+
+    found = fitted(matrix, plain_freedom())
+    if not is_colourless(light, pairs.mask):
+        return found
+    # what is fitted to noise in the colours of grey scenes may imitate what compression took of that
+    shade = light.mean((0, 1, 2))
+    usual = typical_matrix(matrix @ shade / (typical_matrix(np.ones(3)) @ shade))
+    held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
+    files = [p.jpeg for p in loaded]
+    if _above_floor(held, pairs, fit_on, files) >= _above_floor(found, pairs, fit_on, files):
+        return found
+    said = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
+    return held._replace(absorbed=said, unsaid=("color_matrix",))
+
+
+def _above_floor(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> float:
+    """What these pairs' errors are above what rounding and the files' compression leave."""
+    problem = Problem(base.model, pairs)
+    problem.weigh(problem.robust_weights())
+    floors = floor_errors(problem, floor_difference(problem, files))
+    return float((problem.errors(problem.z) - floors)[list(which)].mean())
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
