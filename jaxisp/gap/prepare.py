@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
+from jaxisp.color import srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
-from jaxisp.gap.measured import Gap
 from jaxisp.gap.model import ROOTED, Choice, Coordinate, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.palette import is_colourless, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem, floor_difference, floor_errors, start_matrix
 from jaxisp.gap.solve import fit
-from jaxisp.gap.verdict import LEAST_UNIT, NULL_DROP
+from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Stage, run, stage
@@ -128,14 +128,7 @@ def raw_model(
     if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
         raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
     sampling = jpeg.subsampling if jpeg else "4:4:4"
-    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
-    light = _balanced(pairs, cfa, gains)
-    matrix = start_matrix(light, pairs.pictures, pairs.mask)
-    if np.allclose(gains, 1) and not raws[0].white_balanced:  # the file is silent: the matrix's own white
-        white = np.linalg.lstsq(matrix, np.ones(3), rcond=None)[0]  # of grey scenes it may have rank one
-        gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(loaded), 0)
-        light = _balanced(pairs, cfa, gains)
-        matrix = start_matrix(light, pairs.pictures, pairs.mask)
+    gains, matrix, usual = _start(raws, pairs, cfa)
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))
     per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
     parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
@@ -152,25 +145,22 @@ def raw_model(
         return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
 
     found = fitted(matrix, plain_freedom())
-    if not is_colourless(light, pairs.mask) or _all_told(found, pairs, fit_on, [p.jpeg for p in loaded]):
+    if usual is None:
         return found
-    # what is fitted to noise in the colours of grey scenes imitates whatever took of that, compression first
-    shade = light.mean((0, 1, 2))
-    usual = typical_matrix(matrix @ shade / (typical_matrix(np.ones(3)) @ shade))
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
+    files = [p.jpeg for p in loaded]
+    if _in_floors(found, pairs, fit_on, files) <= _in_floors(held, pairs, fit_on, files):
+        return found
     said = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=said, unsaid=("color_matrix",))
 
 
-def _all_told(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
-    """Whether it leaves no more of these pairs than rounding and the files' compression do."""
+def _in_floors(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> float:
+    """How many times what rounding and the files' compression leave of these pairs it does."""
     problem, which = Problem(base.model, pairs), list(which)
     problem.weigh(problem.robust_weights())
     floors = floor_errors(problem, floor_difference(problem, files))
-    left = Gap(
-        float(problem.errors(problem.z)[which].mean()), float(floors[which].mean()), LEAST_UNIT[RAW_JPEG]
-    )
-    return not left.exceeds(NULL_DROP[RAW_JPEG])
+    return float(problem.errors(problem.z)[which].mean() / floors[which].mean())
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
@@ -253,6 +243,31 @@ def with_choice(chain: Chain) -> Chain:
             node = stage("demosaicking", cfa=node.options["cfa"], algorithm=algorithms[node.fn.__name__])
         nodes.append(node)
     return Chain(tuple(nodes), chain.name)
+
+
+def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Where the fit of a base begins: (N, 3) gains, and a (3, 3) colour matrix by least squares. Of scenes
+    without colours a usual matrix too: what is fitted to the noise in their greys imitates whatever took of
+    that, compression first."""
+    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
+    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    light, linear = _balanced(pairs, cfa, gains), srgb_to_linear(pairs.pictures)
+    grey = is_colourless(light, pairs.mask)
+
+    def shade(pixels: np.ndarray) -> np.ndarray:
+        return np.asarray(pixels[pairs.mask].mean(0))
+
+    if silent:
+        if grey:
+            white = shade(light) / shade(linear)
+        else:  # the matrix's own
+            white = np.linalg.solve(start_matrix(light, pairs.pictures, pairs.mask), np.ones(3))
+        gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(raws), 0)
+        light = _balanced(pairs, cfa, gains)
+    matrix = start_matrix(light, pairs.pictures, pairs.mask)
+    if not grey:
+        return gains, matrix, None
+    return gains, matrix, typical_matrix(shade(linear) / (typical_matrix(np.ones(3)) @ shade(light)))
 
 
 def _balanced(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
