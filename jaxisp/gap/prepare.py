@@ -15,10 +15,12 @@ from jaxisp.errors import InputError
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
+from jaxisp.gap.measured import Gap
 from jaxisp.gap.model import ROOTED, Choice, Coordinate, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.palette import is_colourless, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem, floor_difference, floor_errors, start_matrix
 from jaxisp.gap.solve import fit
+from jaxisp.gap.verdict import LEAST_UNIT, NULL_DROP
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
@@ -145,22 +147,20 @@ def raw_model(
         return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
 
     found = fitted(matrix, plain_freedom())
-    if usual is None:
+    if usual is None or _all_told(found, pairs, fit_on, [p.jpeg for p in loaded]):
         return found
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
-    files = [p.jpeg for p in loaded]
-    if _in_floors(found, pairs, fit_on, files) <= _in_floors(held, pairs, fit_on, files):
-        return found
     said = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=said, unsaid=("color_matrix",))
 
 
-def _in_floors(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> float:
-    """How many times what rounding and the files' compression leave of these pairs it does."""
+def _all_told(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
+    """Whether it leaves no more of these pairs than rounding and the files' compression do."""
     problem, which = Problem(base.model, pairs), list(which)
     problem.weigh(problem.robust_weights())
-    floors = floor_errors(problem, floor_difference(problem, files))
-    return float(problem.errors(problem.z)[which].mean() / floors[which].mean())
+    floor = floor_errors(problem, floor_difference(problem, files))[which].mean()
+    left = Gap(float(problem.errors(problem.z)[which].mean()), float(floor), LEAST_UNIT[RAW_JPEG])
+    return not left.exceeds(NULL_DROP[RAW_JPEG])
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
