@@ -17,9 +17,9 @@ def typical_matrix(gains: np.ndarray, share: float = 1.0) -> np.ndarray:
 def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
     """Whether pictures are so grey that a matrix is fitted to their noise alone.
 
-    They have less than a thirty-thousandth of their mean square in any direction but grey and one more; scenes
-    of usual colours have some hundredths there, with a fortieth of their colours a grey one's share. Noise is
-    no colour: means of neighbouring blocks are multiplied, whose noise is independent.
+    They have less than a thirty-thousandth of their mean square in any direction but grey and one more;
+    scenes of usual colours have some hundredths there, with a fortieth of their colours a grey one's share.
+    Noise is no colour: means of neighbouring blocks are multiplied, whose noise is independent.
 
     Args:
         light: (N, H, W, 3) linear, white balanced.
