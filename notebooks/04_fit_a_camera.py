@@ -105,9 +105,9 @@ Pictures(
 # tell is named as such rather than reported with three digits.
 
 # %%
-for stage_name, field, value, bounds, unit, error in parameter_rows(result):
-    if error.endswith("%") and len(value) < 40:
-        print(f"{stage_name + '.' + field:38} {value:>12} {unit:6} in [{bounds}], error {error}")
+for name, value, error, bounds in parameter_rows(result):
+    if error[:1].isdigit() and len(value) < 40:
+        print(f"{name:38} {value:>12}, error {error}, in {bounds}")
 print("not identified by this pair:", ", ".join(result.unidentified[:8]) or "none", "...")
 
 # %% [markdown]

@@ -17,7 +17,7 @@ from tests.conftest import smooth_image
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 NAMES = sorted(p.stem for p in FOLDER.glob("*.py"))
-QUICK = ("03_your_own_stage", "07_sharp_bits")
+QUICK = ("03_your_own_stage", "04_fit_a_camera", "07_sharp_bits")
 """Run by `make test-all`; all of them where JAXISP_NOTEBOOKS=all, as `make notebooks` has it."""
 MISSING = [name for name in ("jupytext", "nbclient", "ipykernel", "ipywidgets") if find_spec(name) is None]
 jupyter = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
