@@ -21,7 +21,7 @@ from experiments.withheld.study import (
 )
 from experiments.withheld.tables import markdown, wilson
 from experiments.withheld_targets import located, targets
-from jaxisp.gap.verdict import NULL_DROP
+from jaxisp.gap.measured import NULL_DROP
 
 
 def report(verdict: str, *causes: str) -> dict[str, object]:

@@ -15,7 +15,7 @@ from jaxisp.gap.earlier import earlier_grid
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.frame import Laid, in_one_frame
 from jaxisp.gap.header import of_one_sampling
-from jaxisp.gap.measured import Case, Downstream, Gap, Rows, Split
+from jaxisp.gap.measured import NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Rows, Split
 from jaxisp.gap.model import Model
 from jaxisp.gap.noisy_pairs import on_each_other
 from jaxisp.gap.null_bank import CLEAR, held_against_nulls
@@ -25,7 +25,7 @@ from jaxisp.gap.rows import NO_COLOURS, NO_HEADER, STATED, TAKEN_UP, base_row, c
 from jaxisp.gap.scenes import split_of
 from jaxisp.gap.spectra import held_out_spreads
 from jaxisp.gap.stepwise import Tick
-from jaxisp.gap.verdict import MOST_CAUSES, NULL_DROP, NULL_EXCESS, Found, gap_at, searched
+from jaxisp.gap.verdict import MOST_CAUSES, Found, gap_at, searched
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxisp.errors import InputError
+from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.gap.model import Choice, Model
 
 Rows = Sequence[dict[str, Any]]
@@ -82,6 +83,16 @@ class Split:
 
     fit: tuple[int, ...]
     held_out: tuple[int, ...]
+
+
+LEAST_UNIT = {RAW_JPEG: 4.0, CLEAN_NOISY: 0.0}
+"""The floor that thresholds are shares of, at least. In squared 8-bit steps most compressed files have 4 to
+36; what is harmless is no smaller where a file is not compressed, and its floor 0.1."""
+NULL_EXCESS = {RAW_JPEG: 0.5, CLEAN_NOISY: 1.0}
+"""How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
+and its order of steps are not quite the base's. As 47 and 24 nulls have it, see docs/diagnosis.md."""
+NULL_DROP = {RAW_JPEG: 0.1, CLEAN_NOISY: 0.7}
+"""By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
 
 
 class Gap(NamedTuple):

@@ -15,12 +15,11 @@ from jaxisp.errors import InputError
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
-from jaxisp.gap.measured import Gap
+from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP, Gap
 from jaxisp.gap.model import ROOTED, Choice, Coordinate, Model, build, plain_camera, plain_freedom, rooted
 from jaxisp.gap.palette import is_colourless, typical_matrix
 from jaxisp.gap.residual import Pairs, Problem, floor_difference, floor_errors, start_matrix
 from jaxisp.gap.solve import fit
-from jaxisp.gap.verdict import LEAST_UNIT, NULL_DROP
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg

@@ -10,21 +10,13 @@ import numpy as np
 from jaxisp.gap.account import Shown, accounted, shown
 from jaxisp.gap.effects import RAW_JPEG
 from jaxisp.gap.grain import Cause, grain_trial, with_grain
-from jaxisp.gap.measured import Case, Gap, Measured
+from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP, NULL_EXCESS, Case, Gap, Measured
 from jaxisp.gap.model import Model
 from jaxisp.gap.refit import SMALLEST, Trial, Whole
 from jaxisp.gap.stepwise import Terms, Tick, replayed, search
 from jaxisp.gap.which import LEADING
 
 MOST_CAUSES = 3
-LEAST_UNIT = {RAW_JPEG: 4.0, "clean+noisy": 0.0}
-"""The floor that thresholds are shares of, at least. In squared 8-bit steps most compressed files have 4 to
-36; what is harmless is no smaller where a file is not compressed, and its floor 0.1."""
-NULL_EXCESS = {RAW_JPEG: 0.5, "clean+noisy": 1.0}
-"""How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
-and its order of steps are not quite the base's. As 47 and 24 nulls have it, see docs/diagnosis.md."""
-NULL_DROP = {RAW_JPEG: 0.1, "clean+noisy": 0.7}
-"""By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
 APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 """By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
 statistics by what is harmless, in pixels by a share of the gap only."""
