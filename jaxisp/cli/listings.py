@@ -1,11 +1,10 @@
 """`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: what there is."""
 
-import difflib
 from argparse import Namespace
 from typing import Any
 
 from jaxisp.cli.common import add_command, print_json, print_table
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, meant
 
 
 def add_commands(commands: Any) -> None:
@@ -48,8 +47,7 @@ def _named(stages: list[dict[str, Any]], name: str) -> dict[str, Any]:
     for found in stages:
         if found["name"] == name:
             return found
-    close = difflib.get_close_matches(name, [found["name"] for found in stages], 3)
-    raise InputError(f"no stage named {name!r}" + f"; is it {' or '.join(close)}?" * bool(close))
+    raise InputError(f"no stage named {name!r}{meant(name, (found['name'] for found in stages))}")
 
 
 def _print_stage(found: dict[str, Any]) -> None:

@@ -6,9 +6,12 @@ its parameters may move. Users add their own with `register_effect`.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
+from jaxisp.errors import meant
 from jaxisp.pipeline import Node, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS
 from jaxisp.stages.look import SECTORS
@@ -36,7 +39,7 @@ class Move:
         step: the probe: how far it is moved to see what it does; large enough to be seen.
         low, high: the range of the change, from `off`.
         index: which entry of the field; () for a number.
-        off: its value where the effect is absent; the probe starts there.
+        off: its value where the effect is absent, whatever the stage's default; the probe starts there.
         grid: changes that are tried one by one, where the picture does not follow the parameter smoothly.
         fine: how closely it is searched for at last; 0: to a quarter of the grid's spacing.
         both_sides: it is probed to both: interpolation smooths either way, which one side alone would take
@@ -67,7 +70,7 @@ class Effect:
 
     Attributes:
         name: of the effect and of its node in the pipeline.
-        node: the stage that makes it.
+        node: the stage that makes it; what no move names keeps the stage's default.
         site: where it goes; one of `SITES`. In RAW+JPEG pairs light is seen after demosaicking only, so
             that "scene" is then taken as "camera".
         moves: how it may act.
@@ -113,17 +116,43 @@ def register_effect(effect: Effect) -> Effect:
     """Add an effect to those that `diagnose` tries.
 
     Raises:
-        ValueError: the name is taken, site or an axis is unknown, or a strong form is not of all moves.
+        ValueError: the name is taken, or the node's is another; a site, axis, kind of data, other effect or
+            parameter that it names is unknown; or a strong form is not of all moves.
     """
     if effect.name in EFFECTS:
         raise ValueError(f"an effect named {effect.name!r} is registered already")
-    unknown = set(effect.axes) - set(AXES)
-    if effect.site not in SITES or unknown:
-        raise ValueError(f"effect {effect.name}: unknown site {effect.site!r} or axes {sorted(unknown)}")
-    if any(len(form) != len(effect.moves) for form in effect.strong):
-        raise ValueError(f"effect {effect.name}: a strong form has a change for each of its moves")
+    check_effect(effect)
     EFFECTS[effect.name] = effect
     return effect
+
+
+def check_effect(effect: Effect) -> None:
+    """Raises ValueError where an effect names what there is not: a diagnosis would find out late."""
+    whose = f"effect {effect.name}"
+    for field, known in (
+        ("site", SITES), ("axes", AXES), ("shows_in", BOTH), ("alternatives", EFFECTS), ("contains", EFFECTS)
+    ):  # fmt: skip
+        given = getattr(effect, field)
+        for name in (given,) if field == "site" else given:
+            if name not in known:
+                among = meant(name, known) or f"; there are {', '.join(known)}"
+                raise ValueError(f"{whose}: unknown {field} {name!r}{among}")
+    own = effect.node.init().get(effect.name)
+    if own is None:
+        raise ValueError(
+            f"{whose}: its node must be a stage with parameters and of the same name, as "
+            f"stage(..., name={effect.name!r}); this one is {effect.node.name!r}"
+        )
+    there = [f.name for f in fields(own)]
+    for move in effect.moves:
+        if move.field not in there:
+            among = meant(move.field, there) or f"; there are {', '.join(there)}"
+            raise ValueError(f"{whose}: its stage has no parameter {move.field!r}{among}")
+        shape = np.shape(getattr(own, move.field))
+        if len(move.index) != len(shape) or not all(0 <= i < n for i, n in zip(move.index, shape)):
+            raise ValueError(f"{whose}: {move.field}, of shape {shape}, has no entry {move.index}")
+    if any(len(form) != len(effect.moves) for form in effect.strong):
+        raise ValueError(f"{whose}: a strong form has a change for each of its moves")
 
 
 _STEPS = tuple(0.006 * 1.18**k for k in range(16))
@@ -142,9 +171,10 @@ def _each(count: int) -> tuple[tuple[float, ...], ...]:
 def _add(
     name: str, node: Stage, site: str, moves: Iterable[Move], axes: str, alternatives: str = "", **more: Any
 ) -> None:
+    """One of the library's own, which may name those that come after it."""
     node = Stage(node.fn, name, node.static)
-    register_effect(
-        Effect(name, node, site, tuple(moves), tuple(axes.split()), tuple(alternatives.split()), **more)
+    EFFECTS[name] = Effect(
+        name, node, site, tuple(moves), tuple(axes.split()), tuple(alternatives.split()), **more
     )
 
 

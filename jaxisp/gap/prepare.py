@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.color import srgb_to_linear
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, meant
 from jaxisp.gap.absorbed import taken_up
 from jaxisp.gap.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.header import stated_warp
@@ -85,9 +85,10 @@ def usable(pictures: np.ndarray) -> np.ndarray:
 
 def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
     """The effects that this kind of data can show, less those excluded."""
-    unknown = set(exclude) - set(EFFECTS)
-    if unknown:
-        raise InputError(f"no effect named {', '.join(sorted(unknown))}; there are {', '.join(EFFECTS)}")
+    for name in exclude:
+        if name not in EFFECTS:
+            among = meant(name, EFFECTS) or f"; there are {', '.join(EFFECTS)}"
+            raise InputError(f"no effect named {name!r}{among}")
     tried = [e for e in EFFECTS.values() if kind in e.shows_in and e.name not in exclude]
     # beside a RAW, noise that is added later cannot be predicted pixel by pixel
     return [e for e in tried if not (e.random and kind == RAW_JPEG)]

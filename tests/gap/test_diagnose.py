@@ -130,5 +130,5 @@ def test_what_is_excluded_is_not_named(tmp_path):
     write(tmp_path, BODY, {"vignetting": 4}, size=128, count=4)
     report = diagnose(tmp_path, exclude=["vignetting"]).report
     assert "vignetting" not in {r["effect"] for r in report["ranking"]}
-    with pytest.raises(InputError, match="no effect named nonsense"):
+    with pytest.raises(InputError, match="no effect named 'nonsense'"):
         diagnose(tmp_path, exclude=["nonsense"])

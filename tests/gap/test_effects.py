@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, Effect, Move, register_effect, threads
-from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG, check_effect
 from jaxisp.gap.measured import Split
 from jaxisp.gap.model import build, plain_camera, plain_freedom
 from jaxisp.gap.prepare import candidates
@@ -52,9 +53,8 @@ def model():
 def test_the_vocabulary_is_complete():
     assert set(VOCABULARY) <= set(EFFECTS)
     for name in VOCABULARY:
-        effect = EFFECTS[name]
-        assert effect.axes and set(effect.axes) <= set(AXES)
-        assert set(effect.alternatives) <= set(EFFECTS), name
+        check_effect(EFFECTS[name])
+        assert EFFECTS[name].axes
     only_noisy = {n for n in VOCABULARY if EFFECTS[n].shows_in == (CLEAN_NOISY,)}
     assert only_noisy == {
         "motion_blur", "noise_level", "row_noise", "column_noise", "prnu", "correlated_noise",
@@ -82,6 +82,7 @@ _WAYS = {
 
 
 def test_every_move_shows(model):
+    """Of what does not show here, and of film grain, see `test_noisy_effects`."""
     light = mosaics()
     before = model.render(np.zeros(len(model.coordinates)), light)
     for i, (coordinate, step) in enumerate(zip(model.coordinates, model.steps)):
@@ -99,7 +100,11 @@ def test_every_move_shows(model):
 
 def test_a_user_adds_an_effect_of_their_own():
     own = Effect(
-        "warm_shadows", stage("spline_curve"), "encoded", (Move("offsets", 0.1, -1, 1, (0,)),), ("hue",)
+        "warm_shadows",
+        stage("spline_curve", name="warm_shadows"),
+        "encoded",
+        (Move("offsets", 0.1, -1, 1, (0,)),),
+        ("hue",),
     )
     try:
         register_effect(own)
@@ -108,12 +113,44 @@ def test_a_user_adds_an_effect_of_their_own():
             register_effect(own)
     finally:
         del EFFECTS["warm_shadows"]
-    with pytest.raises(ValueError, match="unknown site"):
-        register_effect(Effect("x", stage("clip"), "nowhere", (), ()))
-    with pytest.raises(ValueError, match="strong form"):
-        register_effect(
-            Effect("x", stage("clip"), "output", (Move("white", 0.1, 0, 1),), (), strong=((1, 1),))
-        )
+
+
+@pytest.mark.parametrize(
+    ("mistaken", "told"),
+    [
+        ({"site": "nowhere"}, "unknown site 'nowhere'; there are scene, mosaic"),
+        ({"axes": ("intensty",)}, "unknown axes 'intensty'; is it intensity"),
+        ({"shows_in": ("raw-jpeg",)}, "unknown shows_in 'raw-jpeg'; is it raw.jpeg"),
+        ({"alternatives": ("saturaton",)}, "unknown alternatives 'saturaton'; is it saturation"),
+        ({"contains": ("own",)}, "unknown contains 'own'; there are vignetting"),
+        ({"node": stage("clip")}, "as stage.*name='own'.*this one is 'clip'"),
+        ({"node": stage("srgb_oetf", name="own")}, "a stage with parameters"),
+        ({"moves": (Move("whit", 0.1, 0, 1),)}, "no parameter 'whit'; is it white"),
+        ({"moves": (Move("white", 0.1, 0, 1, (0,)),)}, "white, of shape .., has no entry .0,."),
+        ({"strong": ((1, 1),)}, "strong form"),
+    ],
+)
+def test_a_mistake_in_an_effect_is_told_when_it_is_registered(mistaken, told):
+    whole = {"site": "output", "axes": ("hue",), "node": stage("clip", name="own")}
+    whole |= {"moves": (Move("white", 0.1, 0, 1),)}
+    with pytest.raises(ValueError, match=f"^effect own: .*{told}"):
+        register_effect(Effect("own", **whole | mistaken))
+    assert "own" not in EFFECTS
+
+
+@pytest.mark.parametrize(("off", "origin"), [({}, 0.0), ({"off": 1}, 1.0)])
+def test_a_move_starts_at_off_whatever_the_default(off, origin):
+    node = stage("saturation", name="vivid")
+    own = Effect("vivid", node, "encoded", (Move("amount", 0.1, -1, 3, **off),), ("saturation",))
+    chain, params = plain_camera("GRBG")
+    model = build(chain, params, {}, [], [own])
+    assert node.init()["vivid"].amount == 1 and model.shared["vivid"].amount == origin
+    assert model.params(np.array([0.1]))["vivid"].amount == pytest.approx(origin + 0.1)
+
+
+def test_a_mistyped_effect_is_told_with_what_may_be_meant():
+    with pytest.raises(InputError, match=r"^no effect named 'prnuu'; is it prnu"):
+        candidates(CLEAN_NOISY, ["vignetting", "prnuu"])
 
 
 def test_noise_effects_repeat_for_a_key():
