@@ -45,6 +45,11 @@ def positive(text: str) -> int:
     return value
 
 
+def names(text: str) -> list[str]:
+    """argparse type: names by commas, with or without blanks."""
+    return [name for name in map(str.strip, text.split(",")) if name]
+
+
 def seed(text: str) -> int:
     """argparse type: an integer that makes a key of its own."""
     value = int(text)

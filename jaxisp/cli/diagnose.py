@@ -5,7 +5,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
 
 
 def add_commands(commands: Any) -> None:
@@ -18,7 +18,9 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
     )
-    command.add_argument("--exclude", default="", metavar="EFFECT,...", help="effects that are not tried")
+    command.add_argument(
+        "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects that are not tried"
+    )
     command.add_argument(
         "--downstream",
         action="store_true",
@@ -28,35 +30,44 @@ def add_commands(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
+    from jaxisp.gap.report import plain
+    from jaxisp.io import filled_folder
+
+    with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
+        found = _diagnosed(arguments, folder)
+        _warn(found.report)
+        try:
+            page = found.save(folder)
+        finally:  # a disk that is full by now takes the files, not the answer
+            if arguments.json:
+                print_json(plain(found.report))
+            else:
+                _print(found.report)
+    if not arguments.json:
+        print(f"{page} in {found.report['seconds']:.0f} s")
+    return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
+
+
+def _diagnosed(arguments: Namespace, folder: Path) -> Any:
     from jaxisp.gap import Downstream, diagnose
-    from jaxisp.io import output_folder
     from jaxisp.recipe import Recipe, check_traces
     from jaxisp.recipes import find_recipe
 
-    output_folder(Path(arguments.out))  # a fault here should not cost a diagnosis
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     recipe = find_recipe(arguments.recipe) if arguments.recipe else None
     for simulator in filter(None, (camera, recipe)):
         check_traces(simulator)
-    exclude = [name for name in arguments.exclude.split(",") if name]
-    how = Downstream(arguments.downstream_steps, keep=Path(arguments.out) / "downstream.json")
+    how = Downstream(arguments.downstream_steps, keep=folder / "downstream.json")
     with progress("diagnosing") as tick:
-        found = diagnose(
+        return diagnose(
             arguments.dataset,
             camera,
             recipe=recipe,
-            exclude=exclude,
+            exclude=arguments.exclude,
             downstream=how if arguments.downstream else None,
             seed=arguments.seed,
             tick=tick,
         )
-    page = found.save(arguments.out)
-    _warn(found.report)
-    if arguments.json:
-        print_json(found.report)
-    else:
-        _print(found, page)
-    return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 
 def _warn(report: dict[str, Any]) -> None:
@@ -68,22 +79,28 @@ def _warn(report: dict[str, Any]) -> None:
         print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
 
 
-def _print(found: Any, page: Path) -> None:
-    from jaxisp.gap.report import unexplained
+def _print(report: dict[str, Any]) -> None:
+    from jaxisp.gap.report import next_measurements, sentence, unexplained
 
-    gap = found.report["gap"]
+    gap, left = report["gap"], unexplained(report)
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    left = unexplained(found.report).replace("\N{NO-BREAK SPACE}", " ")
-    print(f"verdict: {found.verdict}; gap {before} -> {after}, floor {floor}" + (f"; {left}" if left else ""))
+    _say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")
-        for c in found.report["causes"]
+        for c in report["causes"]
     ]  # fmt: skip
     if rows:
         print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
-    _print_downstream(found.report.get("downstream"))
-    print(f"{page} in {found.report['seconds']:.0f} s")
+    else:
+        _say(sentence(report))
+    for text in next_measurements(report):
+        _say(text)
+    _print_downstream(report.get("downstream"))
+
+
+def _say(text: str) -> None:
+    print(text.replace("\N{NO-BREAK SPACE}", " "))
 
 
 def _print_downstream(found: dict[str, Any] | None) -> None:

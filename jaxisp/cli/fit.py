@@ -4,7 +4,7 @@ import sys
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
 from jaxisp.cli.devices import add_devices, join, use_cores
 
 
@@ -29,7 +29,8 @@ def add_commands(commands: Any) -> None:
     )
     command.add_argument(
         "--per-image",
-        default="",
+        type=names,
+        default=[],
         metavar="NAMES",
         help="parameters that each image has of its own, by commas: stages, stage.field, tone, colour",
     )
@@ -84,7 +85,7 @@ def _fitted(arguments: Namespace) -> Any:
             demosaic=arguments.demosaic,
             median=arguments.median,
             starts=arguments.starts,
-            per_image=[name for name in arguments.per_image.split(",") if name],
+            per_image=arguments.per_image,
             journal=beside(arguments.out),
             mesh=_mesh(bool(arguments.cpu_devices)),
             tick=tick,

@@ -12,13 +12,25 @@ import numpy as np
 from markupsafe import Markup
 
 from jaxisp.gap.advice import CONSIDERABLE
+from jaxisp.gap.effects import EFFECTS
 from jaxisp.gap.null_bank import CLEAR, bank
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report_downstream import downstream_part
 from jaxisp.gap.report_params import parameters_of
 from jaxisp.gap.report_plots import curve, data_uri, difference_picture, gain_for
 from jaxisp.gap.report_spectra import spectra_part
-from jaxisp.gap.report_words import any_of, chance, counted, finite, listed, number, percent, span, words
+from jaxisp.gap.report_words import (
+    any_of,
+    begun,
+    chance,
+    counted,
+    finite,
+    listed,
+    number,
+    percent,
+    span,
+    words,
+)
 from jaxisp.io.files import atomic_write, output_folder
 
 _ENVIRONMENT = jinja2.Environment(
@@ -92,8 +104,8 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
         verdict=sentence(report),
         summary=_summary(report),
-        warning=few_pairs(report).capitalize(),
-        metric=report["gap"]["metric"][:1].upper() + report["gap"]["metric"][1:],
+        warning=begun(few_pairs(report)),
+        metric=begun(report["gap"]["metric"]),
         gap=_gap(report["gap"], bool(report["causes"])),
         reducible=reached(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
@@ -106,7 +118,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         more=bars[_BARS:],
         causes=[_cause(c) for c in report["causes"]],
         left=_left(report),
-        next=_next(report),
+        next=next_measurements(report),
         downstream=downstream_part(report.get("downstream")),
         data=_data(report),
     )
@@ -144,8 +156,8 @@ def _nearest(report: Mapping[str, Any]) -> str:
     alone = f"; {words(more[0]['effect'])} alone closes {percent(more[0]['closed'])}" if more else ""
     left = f" and leave {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
     return (
-        f" Refused: {listed([words(n) for n in near['effects']])}, to close {percent(near['closed'])}"
-        f"{left}{alone}."
+        f" Refused: {listed([words(n) for n in near['effects']])}, which would close "
+        f"{percent(near['closed'])}{left}{alone}."
     )
 
 
@@ -269,7 +281,7 @@ def _status(row: Mapping[str, Any]) -> str:
     if row["status"] == "accepted":
         return "found"
     said = row.get("reason", "")
-    return " ".join(words(word) if "_" in word else word for word in said.split())
+    return " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
 
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
@@ -311,7 +323,7 @@ def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
         ("parameters", parameters_of(c)),
         ("looks the same", [", ".join(map(words, c["alternatives"]))]),
     ]
-    return {"name": words(c["effect"]).capitalize(), "facts": [(t, v) for t, v in facts if any(v)]}
+    return {"name": begun(words(c["effect"])), "facts": [(t, v) for t, v in facts if any(v)]}
 
 
 def _left(report: Mapping[str, Any]) -> str:
@@ -322,7 +334,8 @@ def _left(report: Mapping[str, Any]) -> str:
     return f"{percent(left['share'])} of the gap is left.{shows}"
 
 
-def _next(report: Mapping[str, Any]) -> list[str]:
+def next_measurements(report: Mapping[str, Any]) -> list[str]:
+    """What to measure, a sentence each."""
     found = [
         f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
         f"{c['next_measurement']}."

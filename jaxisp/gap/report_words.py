@@ -13,7 +13,25 @@ _FIXED = {
     "prnu": "PRNU",
     "lag": "noise correlation",
     "tail": "noise tails",
+    "primaries": "to the sensor's primaries",
+    "balanced_noise": "shot and read noise",
+    "mosaic_white_balance": "white balance of the mosaic",
+    "to_raw": "white balance undone",
+    "early_balance": "white balance before demosaicking",
+    "later_balance": "white balance after demosaicking",
+    "companding": "square roots",
+    "expansion": "squares",
+    "white_level": "clipping at white",
+    "mixing": "from the sensor's primaries",
+    "display_range": "clipping to the display's range",
+    "file": "the file's compression",
+    "encoded": "sRGB encoding of the scene",
+    "scene_encoded": "sRGB encoding of the scene",
+    "scene_tone": "the scene's tone curve",
+    "scene_light": "the scene's light again",
+    "scene_matrix": "the scene's colour matrix",
 }
+"""What is not called by its own name with blanks: axes, effects, and nodes of the bases."""
 _PARTS = {
     "adc": "ADC", "cfa": "CFA", "color": "colour", "jpeg": "JPEG", "lut": "LUT", "oetf": "OETF",
     "srgb": "sRGB",
@@ -23,6 +41,11 @@ _PARTS = {
 def words(name: str) -> str:
     """An axis, effect or stage as it is called in a sentence."""
     return _FIXED.get(name) or " ".join(_PARTS.get(part, part) for part in str(name).split("_"))
+
+
+def begun(text: str) -> str:
+    """As a sentence begins; names like JPEG stay."""
+    return text[:1].upper() + text[1:]
 
 
 def any_of(names: Sequence[str]) -> str:

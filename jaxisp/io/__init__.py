@@ -3,7 +3,7 @@
 from jaxisp.io.datasets import Dataset, Loaded, Pair, open_dataset
 from jaxisp.io.description import RawDescription
 from jaxisp.io.dng import write_dng
-from jaxisp.io.files import atomic_write, find_images, output_file, output_folder, read_toml
+from jaxisp.io.files import atomic_write, filled_folder, find_images, output_file, output_folder, read_toml
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.jpeg import Jpeg, read_jpeg, write_jpeg
 from jaxisp.io.locks import locked
@@ -24,6 +24,7 @@ __all__ = [
     "Settings",
     "WarpRectilinear",
     "atomic_write",
+    "filled_folder",
     "find_images",
     "locked",
     "open_dataset",

@@ -207,6 +207,20 @@ def output_folder(path: PathLike) -> Path:
     return path
 
 
+@contextlib.contextmanager
+def filled_folder(path: PathLike) -> Iterator[Path]:
+    """`output_folder` for what is written at the end; an error before leaves none that is new and empty."""
+    path = Path(path)
+    new = [folder for folder in (path, *path.parents) if not os.path.exists(folder)]
+    try:
+        yield output_folder(path)
+    except BaseException:
+        for folder in new:
+            with contextlib.suppress(OSError):  # it has something in it
+                folder.rmdir()
+        raise
+
+
 def output_file(path: PathLike) -> Path:
     """Make the folder of a file that is to be written; InputError where it cannot be."""
     path = Path(path)

@@ -11,7 +11,6 @@ from PIL import Image
 
 from jaxisp.cli.diagnose import _print, _warn
 from jaxisp.errors import InputError
-from jaxisp.gap import Diagnosis
 from jaxisp.gap.report import few_pairs, html, sentence, unexplained, write_report
 from tests.gap.page import CAUSE, GREY, PICTURES, REPORT, Balance, changed, shown
 
@@ -108,11 +107,11 @@ def test_what_was_refused_as_the_cause_is_said():
         said = sentence(changed(**unknown, unexplained=left | {"nearest": near}))
         return said.replace("\N{NO-BREAK SPACE}", " ").removeprefix(f"{start} ")
 
-    first = "Refused: sharpening and PRNU, to close"
+    first = "Refused: sharpening and PRNU, which would close"
     assert told(near) == f"{first} 80 % and leave edge and noise correlation."
     less = near | {"closed": 0.53, "axes": []}
     assert told(less) == f"{first} 53 %; vignetting alone closes 81 %."
-    assert told(less | {"effects": ["vignetting"]}) == "Refused: vignetting, to close 53 %."
+    assert told(less | {"effects": ["vignetting"]}) == "Refused: vignetting, which would close 53 %."
     assert "Refused: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
 
 
@@ -142,9 +141,9 @@ def test_fewer_than_four_pairs():
     assert 'class="warning"' not in shown(enough) and "2 pairs: a, b" in shown(enough)
 
 
-def test_the_command_says_what_is_left_and_warns(tmp_path, capsys):
+def test_the_command_says_what_is_left_and_warns(capsys):
     _warn(REPORT)
-    _print(Diagnosis(REPORT, PICTURES), tmp_path / "report.html")
+    _print(REPORT)
     out, err = capsys.readouterr()
     assert out.startswith("verdict: effect; gap 17.6 -> 4.2, floor 1; 19 % of the gap stays unexplained\n")
     assert err == "jaxisp: only 2 pairs: intervals and the choice are not reliable; give at least four.\n"
@@ -153,6 +152,19 @@ def test_the_command_says_what_is_left_and_warns(tmp_path, capsys):
     assert capsys.readouterr().err == ""
     _warn(changed(pairs=four | {"left_out": [{"name": "e", "reason": "of two scenes"}]}))
     assert capsys.readouterr().err == "jaxisp: e: left out: of two scenes\n"
+
+
+def test_the_command_says_what_an_unknown_gap_is_and_what_to_measure(capsys):
+    near = {"effects": ["double_compression"], "closed": 0.53, "axes": []}
+    left = REPORT["unexplained"] | {"nearest": near, "next_measurement": "a flat field"}
+    ranking = REPORT["ranking"][1:]
+    _print(changed(verdict="unknown", causes=[], ranking=ranking, unexplained=left))
+    assert capsys.readouterr().out.splitlines() == [
+        "verdict: unknown; gap 17.6 -> 4.2, floor 1",
+        "There is a gap, and no effect of the library explains it. "
+        "Refused: double compression, which would close 53 %.",
+        "To see alone what is left: a flat field.",
+    ]
 
 
 def test_the_page_says_what_was_done_to_pairs():

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from jaxisp.gap import EFFECTS
+from jaxisp.gap.model import plain_camera
+from jaxisp.gap.noisy_base import Camera
 from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic, statistic_words
 from jaxisp.gap.report_params import MEMBERS, parameters_of
+from jaxisp.gap.report_words import words
 from jaxisp.gap.statistics import feature_names
 from jaxisp.params import specs
 from jaxisp.pipeline import signature
+from jaxisp.stages import STAGES
 from tests.gap.page import CAUSE, REPORT, STATISTIC, Balance, changed, shown
 
 
@@ -21,6 +25,24 @@ def test_statistics_have_names():
     assert statistic("intensity", "logvar Cb2") == "Cb noise at luma 60"
     assert statistic("intensity", "code dark04") == "RAW values in 44 even levels, in the dark"
     assert statistic("row", "something else") == "something else"
+
+
+@pytest.mark.parametrize("chain", [plain_camera("RGGB")[0], Camera(None, gamma=2.0).chain()[0]])
+def test_nodes_of_the_bases_have_names(chain):
+    for name in chain.init().keys() - STAGES.keys() - EFFECTS.keys():
+        if not name.startswith("use_"):
+            assert words(name) != name.replace("_", " "), name
+    text = shown(changed(base=REPORT["base"] | {"stages": ["to_raw", "file"], "fitted": {"mixing": {}}}))
+    assert "<dd>white balance undone, the file's compression</dd>" in text.replace("&#39;", "'")
+    assert "<dd>from the sensor's primaries</dd>" in text.replace("&#39;", "'")
+
+
+def test_abbreviations_stay_in_capitals():
+    alike = {"effect": "row_noise", "closed": 0.1, "status": "not_identifiable"}
+    causes = [CAUSE | {"effect": "jpeg_quantization"}, CAUSE | {"effect": "prnu"}]
+    text = shown(changed(causes=causes, ranking=[alike | {"reason": "looks the same as prnu"}]))
+    assert "looks the same as PRNU" in text
+    assert "<h3>JPEG quantization</h3>" in text and "<h3>PRNU</h3>" in text
 
 
 def test_statistics_that_differ_most_are_drawn_about_a_middle():

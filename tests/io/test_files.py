@@ -1,5 +1,6 @@
 """Writing whole or not at all, finding images, listing folders."""
 
+import contextlib
 import errno
 import os
 import resource
@@ -10,7 +11,7 @@ import pytest
 
 import jaxisp.io
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, find_images, list_folder, output_folder, read_toml
+from jaxisp.io.files import atomic_write, filled_folder, find_images, list_folder, output_folder, read_toml
 
 
 def put(folder, *names):
@@ -90,6 +91,18 @@ def test_places_that_cannot_be_written(tmp_path):
         output_folder(tmp_path / "file")
     assert output_folder(tmp_path / "new" / "deep").is_dir()
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "deep", "file", "folder", "new"]
+
+
+def test_a_folder_that_nothing_came_into_goes_again(tmp_path):
+    def left(write):
+        with contextlib.suppress(RuntimeError), filled_folder(tmp_path / "new" / "deep") as folder:
+            if write:
+                (folder / "a").touch()
+            raise RuntimeError
+        return sorted(p.name for p in tmp_path.rglob("*"))
+
+    assert left(write=False) == []
+    assert left(write=True) == left(write=False) == ["a", "deep", "new"]
 
 
 def test_errors_of_other_files_pass_through(tmp_path):
