@@ -1,6 +1,7 @@
 """Gradient-safe primitives: total functions, surrogate gradients, and what keeps XLA fast."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -60,6 +61,25 @@ def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Ar
     """Clip; the gradient is 1 inside and `leak` outside, so that a fitter can leave a clipped region."""
     soft = leak * x + (1 - leak) * jnp.clip(x, low, high) if leak else jnp.clip(x, low, high)
     return straight_through(jnp.clip(x, low, high), soft)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
+    """`share * fn(*operands)`; where the share is 0 `fn` is not run.
+
+    Gradient: the product's, at 0 too, so that a fit can leave 0.
+
+    Args:
+        fn: its result has the shape of the last operand. It must not close over what is differentiated.
+        share: a scalar.
+        operands: arrays.
+    """
+    return share * lax.cond(share != 0, fn, lambda *xs: jnp.zeros_like(xs[-1]), *operands)
+
+
+@weighted.defjvp
+def _weighted_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
+    return jax.jvp(lambda share, *operands: share * fn(*operands), primals, tangents)
 
 
 def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:

@@ -16,6 +16,7 @@ from jaxisp.numerics import (
     safe_divide,
     safe_sqrt,
     straight_through,
+    weighted,
 )
 
 
@@ -52,6 +53,24 @@ def test_straight_through_has_the_exact_value_and_the_other_gradient():
     assert jax.grad(lambda x: clip_through(x, 0, 1))(2.0) == 0
     assert jax.grad(lambda x: clip_through(x, 0, 1, leak=0.1))(2.0) == pytest.approx(0.1)
     assert clip_through(jnp.float32(2), 0, 1, leak=0.1) == 1
+
+
+def test_weighted_is_not_run_at_0_but_its_gradient_is_the_products():
+    ran = []
+
+    def fn(x):
+        jax.debug.callback(lambda: ran.append(1))
+        return x * x
+
+    product = jax.jit(lambda share, x: weighted(fn, share, x))
+    for share, count in ((0.0, 0), (0.5, 1)):
+        value = product(share, jnp.float32(3))
+        jax.effects_barrier()
+        assert value == share * 9 and len(ran) == count
+    plain = jax.vmap(lambda share, x: weighted(lambda v: v * v, share, x))
+    at = jnp.array([0.0, 0.5, -2.0]), jnp.array([3.0, 1.5, -1.0])
+    check_grads(plain, at, order=1, modes=["fwd", "rev"], rtol=1e-2, atol=1e-2)
+    assert jax.grad(lambda share: weighted(lambda v: v * v, share, jnp.float32(3)))(0.0) == 9
 
 
 def test_per_plane_treats_channels_alike(rng):

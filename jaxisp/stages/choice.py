@@ -8,7 +8,7 @@ from jax import lax
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
-from jaxisp.numerics import planes, round_through
+from jaxisp.numerics import planes, round_through, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
@@ -59,15 +59,14 @@ def demosaicking(
     Returns:
         (H, W, 3) camera RGB.
 
-    Gradient: exact to the shares that are not 0; to the image that of the algorithms.
+    Gradient: exact to the shares; to the image that of the algorithms.
 
     Source: see the stages named.
     """
     start = DEMOSAICKERS[algorithm](image, cfa=cfa)
     change = jnp.zeros_like(start)
     for share, run in zip(params.shares, DEMOSAICKERS.values()):
-        other = lax.cond(share != 0, lambda m, run=run: run(m, cfa=cfa), lambda m: start, image)
-        change = change + share * (other - start)
+        change = change + weighted(lambda m, s, run=run: run(m, cfa=cfa) - s, share, image, start)
     return start + change
 
 

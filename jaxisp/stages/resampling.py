@@ -1,5 +1,6 @@
 """Change of size, and what a change of size and back leaves of a picture."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.domains import RGB
-from jaxisp.numerics import materialize, per_plane, planes, safe_divide
+from jaxisp.numerics import materialize, per_plane, planes, safe_divide, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -236,15 +237,16 @@ def rescaling(params: Rescaling, image: RGB) -> RGB:
     Returns:
         (H, W, 3) in the domain of the image; exactly the image at factor 1 and shares 0.
 
-    Gradient: exact, but for the factors at which a row or column of the smaller image comes or goes; 0 to a
-    share that is 0.
+    Gradient: exact, but for the factors at which a row or column of the smaller image comes or goes.
 
     Source: Keys 1981; Turkowski 1990.
     """
-    factor = Resampling(factor=params.factor)
-    first = resampling(factor, image)
+    first = resampling(Resampling(factor=params.factor), image)
+
+    def beyond(factor: jax.Array, x: jax.Array, first: jax.Array, **way: Any) -> jax.Array:
+        return resampling(Resampling(factor=factor), x, **way) - first
+
     mixed = first
-    for k, way in enumerate(_OTHER_WAYS):
-        run = lambda x, way=way: resampling(factor, x, **way) - first  # noqa: E731
-        mixed = mixed + params.shares[k] * lax.cond(params.shares[k] != 0, run, jnp.zeros_like, image)
+    for share, way in zip(params.shares, _OTHER_WAYS):
+        mixed = mixed + weighted(partial(beyond, **way), share, params.factor, image, first)
     return mixed

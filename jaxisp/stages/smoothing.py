@@ -10,7 +10,7 @@ from jax import lax
 
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import EncodedRGB, LinearRGB
-from jaxisp.numerics import materialize, per_plane, planes
+from jaxisp.numerics import materialize, per_plane, planes, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.bilateral import bilateral_plane
@@ -115,9 +115,7 @@ def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
 def _mixed(plane: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:
     change = jnp.zeros_like(plane)
     for k, smooth in enumerate(filters):
-        run = lambda p, smooth=smooth: smooth(p) - p  # noqa: E731
-        difference = lax.cond(shares[k] != 0, run, jnp.zeros_like, plane)
-        change = change + shares[k] * difference
+        change = change + weighted(lambda p, smooth=smooth: smooth(p) - p, shares[k], plane)
     return plane + change
 
 

@@ -1,0 +1,39 @@
+"""Families whose members' shares are the parameters: where a share is 0 its gradient is not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.pipeline import run, stage
+from jaxisp.stages.choice import Demosaicking
+from jaxisp.stages.resampling import Rescaling
+from jaxisp.stages.smoothing import ChromaDenoising, LumaDenoising, Sharpening
+
+FAMILIES = {
+    "luma_denoising": (LumaDenoising, "shares"),
+    "chroma_denoising": (ChromaDenoising, "shares"),
+    "sharpening": (Sharpening, "amounts"),
+    "demosaicking": (Demosaicking, "shares"),
+    "rescaling": (Rescaling, "shares"),
+}
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_derivative_at_0_is_what_a_member_changes(name, rng):
+    """Pictures are linear in the shares, so that the step from 0 to 1 is the derivative anywhere."""
+    kind, field = FAMILIES[name]
+    size = (14, 18) if name == "demosaicking" else (14, 18, 3)
+    image = jnp.asarray(rng.uniform(0.1, 0.9, size), jnp.float32)
+    off = jnp.zeros(len(getattr(kind(), field)))
+    node = stage(name)
+    shot = jax.jit(lambda shares: run(node, {node.name: kind(**{field: shares})}, image))
+    slopes = jax.jit(jax.jacfwd(shot))(off)
+    weights = jnp.asarray(rng.standard_normal(slopes.shape[:-1]), jnp.float32)
+    back = jax.jit(jax.grad(lambda shares: (weights * shot(shares)).sum()))(off)
+    changes = [np.asarray(shot(off.at[k].set(1.0)) - shot(off)) for k in range(len(off))]
+    still = sum(not change.any() for change in changes)
+    assert still == (name == "demosaicking")  # what all shares 0 leave is one of its members
+    for k, change in enumerate(changes):
+        np.testing.assert_allclose(slopes[..., k], change, atol=1e-5)
+        assert back[k] == pytest.approx(float((weights * slopes[..., k]).sum()), rel=1e-3, abs=1e-3)
