@@ -176,7 +176,7 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     ]
     pairs = [record("pairs", "prnu", "sharpening"), record("pairs", "prnu", "row_noise", kind="clean+noisy")]
     alone = [record("alone", name) for name in ("prnu", "sharpening")]
-    nulls = [record("nulls", "nothing", said="none"), record("nulls", "cropped", said="none")]
+    nulls = [record("nulls", "nothing", said="none"), record("nulls", "cropped", said="unknown")]
     strangers = [record("outside", "flicker", said="unknown", where=["row"])]
     lines = targets([*sealed, *pairs, *alone, *nulls, *strangers]).splitlines()
     found = {line.split(" | ")[0][2:]: line.split(" | ")[1:-1] for line in lines[2:]}
@@ -189,6 +189,7 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     assert found['what a base takes up: absorbed or "none"'][0].endswith(" (1/1)")
     assert found['outside the vocabulary: "unknown"'][0].endswith(" (1/1)")
     assert found["named where nothing is missing"][0].endswith(" (0/2)")
+    assert found['named or "unknown" where nothing is missing'][0].endswith(" (1/2)")
     both = found["two effects, either alone twice the floor: both found"]
     assert both[0].endswith(" (1/1)") and both[2] == "– (0)", "nobody looked at either alone"
 

@@ -52,6 +52,9 @@ PAIRS = (
     ("heavy_tailed_noise", "resampling"),
 )
 
+LOST_HEADER = ("jpeg_quantization", 2)
+"""What a picture has when its JPEG was opened and saved in a format that states no quantisation tables."""
+
 
 def shows_in(name: str, kind: str) -> bool:
     """Whether an effect (or the lack of one) is part of this kind of data."""
@@ -64,5 +67,15 @@ def without_header(active: dict[str, int]) -> bool:
     return "jpeg_quantization" in active or "lossless" in active
 
 
-__all__ = ["ABSORBABLE", "DEVELOP", "DISTRIBUTIONS", "EVERYTHING", "KINDS", "LEVELS", "NULLS", "OUTSIDE"]
-__all__ += ["PAIRED", "PAIRS", "SEALED", "VOCABULARY", "shows_in", "without_header"]
+__all__ = ["ABSORBABLE", "DEVELOP", "DISTRIBUTIONS", "EVERYTHING", "KINDS", "LEVELS"]
+__all__ += [
+    "LOST_HEADER",
+    "NULLS",
+    "OUTSIDE",
+    "PAIRED",
+    "PAIRS",
+    "SEALED",
+    "VOCABULARY",
+    "shows_in",
+    "without_header",
+]

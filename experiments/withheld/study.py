@@ -24,6 +24,7 @@ from .effects import (
     DEVELOP,
     KINDS,
     LEVELS,
+    LOST_HEADER,
     NULLS,
     OUTSIDE,
     PAIRED,
@@ -42,12 +43,12 @@ Report = dict[str, Any]
 Diagnose = Callable[..., Report]
 SCENES = {
     "develop": "one", "sealed": "two", "nulls": "", "outside": "three", "pairs": "three", "alone": "three",
-    "deleted": "three", "libraw": "three",
+    "deleted": "three", "libraw": "three", "stripped": "three",
 }  # fmt: skip
 """The scenes of each split; nulls come on all sets."""
 _UNTRIED = ("verdict", "causes", "gap", "where", "own_seconds")
 """What is kept where nothing was tried."""
-_WITHOUT_TRUTH = ("nulls", "alone", "deleted", "libraw")
+_WITHOUT_TRUTH = ("nulls", "alone", "deleted", "libraw", "stripped")
 """Where the share of the gap that an effect made is not asked for, or not known: LibRaw's change tone."""
 
 
@@ -71,7 +72,8 @@ def cases(
     """All cases of a split; nulls come on every scene set, a body's own nothing among them.
 
     "deleted" is the whole vocabulary again, each effect left out of those that the diagnosis tries; "alone"
-    the effects of the pairs one by one, nothing tried: how large a gap each makes.
+    the effects of the pairs one by one, nothing tried: how large a gap each makes; "stripped" the vocabulary
+    beside a compression whose header is lost: pictures that were saved once more, as PNG.
     """
     if split == "nulls":
         for name in NULLS:
@@ -90,12 +92,14 @@ def cases(
         "pairs": PAIRS,
         "alone": [(name,) for name in sorted({name for pair in PAIRS for name in pair})],
         "deleted": [(name,) for name in sorted(VOCABULARY)],
+        "stripped": [(name,) for name in sorted({*VOCABULARY} - {LOST_HEADER[0]})],
     }
+    beside = (LOST_HEADER,) if split == "stripped" else ()
     for group in names[split]:
         if all(shows_in(name, kind) for name in group):
             for level in levels:
                 for body in bodies:
-                    active = tuple((name, level) for name in group)
+                    active = (*((name, level) for name in group), *beside)
                     yield Case(kind, split, body, active, scenes or SCENES[split])
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from scipy.stats import norm
 
-from .effects import ABSORBABLE, GROUPS
+from .effects import ABSORBABLE, GROUPS, LOST_HEADER
 from .libraw import SWITCHES
 from .outside import AXES as OUTSIDE_AXES
 
@@ -317,6 +317,32 @@ def deleted_section(records: list[Record]) -> str:
     return "\n".join([table(head, rows), confusion(records)])
 
 
+def stripped_section(records: list[Record]) -> str:
+    """Pictures whose header is lost: the effect (the first of the truth), and the compression."""
+    rates: dict[str, Callable[[Record], bool]] = {
+        "effect named": lambda r: truth(r)[0] in r["causes"],
+        "effect, or what it cannot be told from": lambda r: any(
+            truth(r)[0] in (cause, *r["alternatives"][cause]) for cause in r["causes"]
+        ),
+        "compression named": lambda r: LOST_HEADER[0] in r["causes"],
+        "anything else named": lambda r: bool(set(named(r)) - set(truth(r))),
+        "verdict none": lambda r: r["verdict"] == "none",
+        "verdict unknown": lambda r: r["verdict"] == "unknown",
+    }
+    sure = [r for r in records if truth(r)[0] not in ABSORBABLE]
+    rows = [[name, share(sure, hit), share(records, hit)] for name, hit in rates.items()]
+    lines = []
+    for r in sorted(records, key=lambda r: truth(r)[0]):
+        alike = {other for others in r["alternatives"].values() for other in others}
+        status = [n for n, said in r["status"].items() if said == "not_identifiable" and n not in alike]
+        lines.append([truth(r)[0], r["body"], gap_of(r), ", ".join(r["causes"]) or r["verdict"],
+                      ", ".join(sorted(alike)), ", ".join(sorted(status))])  # fmt: skip
+    return "\n".join([
+        table(["said", "of effects that no base takes up", "all"], rows),
+        table(["effect", "body", "gap (floor)", "said", "alternatives", "not identifiable"], lines),
+    ])  # fmt: skip
+
+
 def libraw_section(records: list[Record]) -> str:
     """LibRaw's switches: what was named, and whether that is right."""
 
@@ -345,6 +371,7 @@ SECTIONS = {
     "pairs": ("Two effects at once", pairs_section),
     "deleted": ("The true effect left out", deleted_section),
     "libraw": ("LibRaw as the camera", libraw_section),
+    "stripped": ("Headers lost", stripped_section),
 }
 
 
