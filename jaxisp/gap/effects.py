@@ -215,7 +215,7 @@ _add(
 _add(
     "veiling_glare", stage("veiling_glare"), "scene",
     [Move("share", 0.03, 0, 0.4)],
-    "intensity frame", "black_level_offset tone_curve local_tone_mapping",
+    "intensity", "black_level_offset tone_curve local_tone_mapping",
 )  # fmt: skip
 _add(
     "black_level_offset", stage("black_level"), "mosaic",

@@ -52,7 +52,7 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         moved = model.coordinates[i]
         key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
         params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
-    spread = max((trial.high - trial.low) / 3.29, 1e-6)
+    spread = max((trial.closed - trial.low) / 1.645, 1e-6)  # towards 0: the interval may be lopsided
     return {
         "effect": trial.effect,
         "site": effect.site,
@@ -68,7 +68,7 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
 
 
 def _p_value(z: float, tried: int) -> float:
-    """One-sided, times the number of effects tried (Bonferroni)."""
+    """One-sided and normal, times the number of effects tried (Bonferroni)."""
     return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
 
 

@@ -313,8 +313,8 @@ def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path):
     picture = np.asarray(Image.open(stray))
     Image.fromarray(255 - picture).save(stray, quality=95)
     report = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - {"vignetting"})).report
-    (left_out,) = report["pairs"]["failed"]
-    assert left_out["file"] == stray.stem and "carry over" in left_out["reason"]
+    (left_out,) = report["pairs"]["left_out"]
+    assert left_out["name"] == stray.stem and "carry over" in left_out["reason"]
     assert len(report["pairs"]["fit"] + report["pairs"]["held_out"]) == 5
     assert report["verdict"] == "none"
 
