@@ -7,6 +7,7 @@ A run that was broken off goes on where it stopped. `tables` turns the file into
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 import time
@@ -247,7 +248,8 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     for kind in arguments.kind:
         for split in arguments.split:
             found += cases(kind, split, arguments.bodies, arguments.strengths, arguments.scenes)
-    found = shuffled(found)[arguments.skip : arguments.limit]
+    found = [case for case in shuffled(found) if re.search(arguments.match, case.name)]
+    found = found[arguments.skip : arguments.limit]
     plain = {_plain(asdict(case)): None for case in found if case.split not in _WITHOUT_TRUTH}
     return list(dict.fromkeys([*plain, *found]))
 
@@ -259,6 +261,7 @@ def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), default=sorted({*BODIES} - {*LATER}))
     parser.add_argument("--strengths", nargs="+", type=int, choices=LEVELS, default=LEVELS)
     parser.add_argument("--scenes", choices=(*SETS, GREY), default="", help="instead of the split's own set")
+    parser.add_argument("--match", default="", help="a regular expression that a case's name has")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--count", type=int, default=8, help="scenes in a data set")
     parser.add_argument("--frames", type=int, default=1, help="of each scene")

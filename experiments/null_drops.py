@@ -1,0 +1,121 @@
+"""By how much effects lower the gap of cameras that lack nothing, where they are looked for all the same.
+
+    python -m experiments.null_drops --bodies elm fig --limit 16 --out docs/results/null-drops.json
+
+A diagnosis does not look where the gap is near its floor; here it does, for one cause. What an effect must
+lower a gap by, `jaxisp.gap.measured.NULL_DROP`, should be above what 95 % of these cameras have. A run that
+was broken off goes on; the page is written beside the file.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from experiments.withheld.bodies import BODIES
+from experiments.withheld.effects import KINDS
+from experiments.withheld.shoot import write
+from experiments.withheld.study import Case, cases, shuffled
+from experiments.withheld.tables import table
+from jaxisp.gap import diagnose, verdict
+from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP
+from jaxisp.io.files import atomic_write
+
+Record = dict[str, Any]
+PAGE = """# What effects lower where nothing is missing
+
+```sh
+python -m experiments.null_drops {command}
+```
+
+Cameras of the null study ([what they are](withheld-17-nulls.md)), in which a diagnosis looks for a cause
+though their gap is near its floor. Of each camera the effect that lowers the gap of the held-out pairs most,
+of those that take pixels no farther away: by how much, in floors (RAW+JPEG: of {unit} squared 8-bit steps at
+least), and the lower end of that drop's 90 % interval, which is what an effect is accepted by.
+
+{summary}
+{cases}"""
+
+
+def drops(report: Mapping[str, Any]) -> Record:
+    """The gap, and what each refitted effect lowers it by, in units, and the low end of that's interval."""
+    gap = report["gap"]
+    floor = gap["floor"]
+    unit, scale = max(floor, LEAST_UNIT[report["kind"]]), max(gap["before"] - floor, 0.02 * floor, 1e-6)
+    refitted = [row for row in report["ranking"] if "ci" in row and row.get("possible")]
+    lowered = {row["effect"]: [row["closed"] * scale / unit, row["ci"][0] * scale / unit] for row in refitted}
+    return {"above": (gap["before"] - floor) / unit, "lowered": lowered}
+
+
+def looked_at(case: Case) -> Record:
+    """One null, diagnosed as if its gap were worth it."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch.dict(NULL_DROP, {case.kind: -np.inf}),
+        patch.object(verdict, "MOST_CAUSES", 1),
+    ):
+        write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes)
+        return {"case": case.name, "kind": case.kind} | drops(diagnose(folder).report)
+
+
+def most(record: Record) -> tuple[str, float, float]:
+    """The effect whose interval is highest at its low end."""
+    name = max(record["lowered"], key=lambda n: record["lowered"][n][1], default="")
+    return (name, *record["lowered"][name]) if name else ("none was refitted", 0.0, 0.0)
+
+
+def page(records: Sequence[Record], command: str) -> str:
+    rows, lines = [], []
+    for kind in KINDS:
+        own = [r for r in records if r["kind"] == kind]
+        if own:
+            figures = []
+            for i in (0, 1):
+                largest = [max((v[i] for v in r["lowered"].values()), default=0.0) for r in own]
+                figures += [f"{np.median(largest):.2f}", f"{np.percentile(largest, 95):.2f}"]
+            rows.append([kind, len(own), *figures, NULL_DROP[kind]])
+        for r in own:
+            name, drop, least = most(r)
+            lines.append([r["case"], f"{r['above']:.2f}", name, f"{drop:.2f}", f"{least:.2f}"])
+    head = ["pairs", "cameras", "drop, median", "95 %", "its low end, median", "95 %", "must be above"]
+    return PAGE.format(
+        command=command,
+        unit=f"{max(LEAST_UNIT.values()):g}",
+        summary=table(head, rows),
+        cases=table(["camera", "gap above its floor", "effect", "drop", "its low end"], lines),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--bodies", nargs="+", choices=sorted(BODIES), required=True)
+    parser.add_argument("--limit", type=int, help="cameras of each kind")
+    parser.add_argument("--out", type=Path, required=True)
+    arguments = parser.parse_args()
+    out: Path = arguments.out
+    found: dict[str, Record] = json.loads(out.read_text()) if out.exists() else {}
+    asked = " ".join(sys.argv[1:])
+    for kind in arguments.kind:
+        for case in shuffled(list(cases(kind, "nulls", arguments.bodies, (1,))))[: arguments.limit]:
+            if case.name not in found:
+                found[case.name] = looked_at(case)
+                _save(out, json.dumps(found, indent=1) + "\n")
+                name, drop, low = most(found[case.name])
+                print(f"{case.name}: {name} {drop:.2f}, {low:.2f}", flush=True)
+    _save(out.with_suffix(".md"), page(list(found.values()), asked))
+
+
+def _save(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+if __name__ == "__main__":
+    main()
