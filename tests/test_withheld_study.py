@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments import null_drops
 from experiments.withheld import effects
 from experiments.withheld.camera import KINDS
 from experiments.withheld.study import (
@@ -12,6 +13,7 @@ from experiments.withheld.study import (
     Case,
     _plain,
     cases,
+    chosen,
     counted,
     examine,
     kept,
@@ -43,6 +45,44 @@ def test_the_effects_of_pairs_come_alone_too() -> None:
     names = {name for pair in effects.PAIRS for name in pair}
     assert {case.effects[0][0] for case in found} == {n for n in names if effects.shows_in(n, KINDS[0])}
     assert len(found) == len(set(found))
+
+
+def test_a_lost_header_leaves_its_compression_beside_each_effect(tmp_path: Path) -> None:
+    found = list(cases(KINDS[0], "stripped", ["alder"], [4]))
+    assert {case.effects[1:] for case in found} == {(effects.LOST_HEADER,)}
+    shown = {name for name in effects.VOCABULARY if effects.shows_in(name, KINDS[0])}
+    assert {case.effects[0][0] for case in found} == shown - {effects.LOST_HEADER[0]}
+    files: list[str] = []
+
+    def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
+        files.extend(path.suffix for path in folder.iterdir())
+        return report("effect", *(name for name, _ in found[0].effects))
+
+    one = examine(found[0], diagnosis, size=64, count=2)
+    assert ".jpg" not in files and "statistics" not in one
+    text = markdown([one, one | {"case": "another", "causes": [], "verdict": "unknown"}])
+    assert "## Headers lost, raw+jpeg" in text and "| compression named | 50% " in text
+
+
+def test_cases_are_chosen_by_name() -> None:
+    words = "--kind raw+jpeg --split sealed --bodies fig elm --strengths 4 --out f"
+    names = [c.name for c in chosen(parse([*words.split(), "--match", "elm (prnu|sharp)"]))]
+    assert sorted(names) == ["raw+jpeg nulls two elm nothing=1", "raw+jpeg sealed two elm sharpening=4"]
+
+
+def test_what_lowers_the_gap_of_a_camera_that_lacks_nothing() -> None:
+    ranking = [
+        {"effect": "prnu", "closed": 4.0, "ci": [2.0, 5.0], "possible": True},
+        {"effect": "sharpening", "closed": 9.0, "ci": [-9.0, 20.0], "possible": True},
+        {"effect": "vignetting", "closed": 9.0, "ci": [8.0, 9.0], "possible": False},
+        {"effect": "row_noise", "closed": 7.0},  # as predicted
+    ]
+    of = {"kind": "clean+noisy", "gap": {"before": 0.5, "floor": 0.5}, "ranking": ranking}
+    found = null_drops.drops(of)  # shares are of 0.02 floors
+    assert found["lowered"]["prnu"] == pytest.approx([0.08, 0.04]) and len(found["lowered"]) == 2
+    assert null_drops.most(found)[0] == "prnu" and null_drops.most({"lowered": {}})[1:] == (0.0, 0.0)
+    text = null_drops.page([{"case": "a", "kind": "clean+noisy"} | found], "--limit 1")
+    assert "| clean+noisy | 1 | 0.18 | 0.18 | 0.04 | 0.04 | 0.7 |" in text and "| a | 0.00 | prnu | " in text
 
 
 def test_deleting_hides_the_true_effect_alone() -> None:
