@@ -21,6 +21,9 @@ NEARER = 0.05
 it by that."""
 _CLEARED = 0.5
 """What share of the distance beyond the noise must go for pixels to show an effect by themselves."""
+_MOST = 0.67
+"""The share of what causes before it leave, from which on an effect needs to be sure of a part of that alone:
+how unlike scenes are in the other causes' part is nothing against it."""
 _DRAWS = 400
 _HOPELESS = 4.0
 """How many times the least error of all forms one may leave at first for the base to be fitted beside it."""
@@ -48,7 +51,7 @@ class Trial:
     `low` and `high` are a bootstrap's; `surely` is the lower end of the share where a scene that has more of
     the gap is drawn with it, and scenes are few. `cleared` is the share of the pixels' distance beyond the
     noise that goes with it, and `plainly` what `low` must be above where they show it by themselves. `error`
-    is what it leaves on the fitted pairs.
+    is what it leaves on the fitted pairs, `rest` the share of the gap that causes before it left.
     """
 
     effect: str
@@ -66,6 +69,7 @@ class Trial:
     cleared: float = 0.0
     plainly: float = np.inf
     error: float = np.inf
+    rest: float = 1.0
 
     @property
     def gain(self) -> float:
@@ -85,7 +89,8 @@ class Trial:
     def accepted(self) -> bool:
         if self.low <= SMALLEST or not self.possible:
             return False
-        by_statistics = self.low > self.least and self.surely > SMALLEST
+        sure = SMALLEST * (self.rest if self.closed > _MOST * self.rest else 1.0)
+        by_statistics = self.low > self.least and self.surely > sure
         return by_statistics or (self.shown and self.low > self.plainly)
 
 
@@ -105,6 +110,7 @@ def refit(
     begin: np.ndarray | None = None,
     form: np.ndarray | None = None,
     plainly: float = np.inf,
+    rest: float = 1.0,
 ) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
@@ -116,6 +122,7 @@ def refit(
         begin: where the fit starts, what is searched for being found there; None: it is looked for.
         form: of `nearest_form`; what moves freely from there must be better by a tenth.
         plainly: likewise, where pixels show the effect by themselves.
+        rest: the share of the gap that causes before it left.
     """
     own = problem.model.indices([effect])
     moving = [*problem.model.base_indices, *switched_on(problem), *own]
@@ -154,7 +161,7 @@ def refit(
     return Trial(
         effect, part.z, start, start - lost, closed, low, high, least, chosen,
         farther=-nearer / max(far, _ROUNDING), surely=surely, cleared=cleared, plainly=plainly,
-        error=float(part.errors(part.z).mean()),
+        error=float(part.errors(part.z).mean()), rest=rest,
     )  # fmt: skip
 
 

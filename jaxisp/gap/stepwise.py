@@ -150,14 +150,15 @@ def _tried(
     promises = _most(views, lambda view: screen(view, left, split), every)
     forms = _forms(problem, left, split)
     promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
-    least = max(terms.least, terms.part * _remaining(causes))
+    rest = _remaining(causes)
+    least = max(terms.least, terms.part * rest)
 
     def one(name: str) -> Trial:
         tick(step, terms.most, f"refitting {name}")
         form_only = of_form(name, causes)
         own = max(form_only, terms.bars.get(name, 0.0))
         bar, plainly = max(least, own), max(terms.plainly, own) if step else np.inf
-        return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly)
+        return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly, rest=rest)
 
     ranked = sorted(left, key=lambda name: -promises[name])
     tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
@@ -189,7 +190,9 @@ def _again(
 
     def begun(point: tuple[Trial, np.ndarray]) -> Trial:
         trial, z = point
-        return refit(problem, trial.effect, split, whole, trial.least, begin=z, plainly=trial.plainly)
+        return refit(
+            problem, trial.effect, split, whole, trial.least, begin=z, plainly=trial.plainly, rest=trial.rest
+        )
 
     found = each(begun, points)
     return [min((t, *(f for f in found if f.effect == t.effect)), key=lambda t: t.error) for t in trials]

@@ -25,8 +25,9 @@ def searched(monkeypatch, closes, terms, beside=("prnu",)):
     """What is accepted of effects that close these shares of a gap of 10, (half width of their interval)."""
     asked = []
 
-    def refit(problem, name, split, whole, least, form=None, plainly=np.inf):
+    def refit(problem, name, split, whole, least, form=None, plainly=np.inf, rest=1.0):
         asked.append(least)
+        assert rest == pytest.approx(1 - float(problem.z[0]) / 10)
         share, half = closes[name]
         before = 11.0 - float(problem.z[0])
         return Trial(
@@ -85,12 +86,12 @@ def test_the_two_best_of_a_later_step_are_fitted_anew_from_both_bases(monkeypatc
     def trial(name, z, error, closed, farther=0.0):
         return Trial(
             name, np.array(z), 11.0, 11 - 10 * closed, closed, closed, closed, 0.05,
-            farther=farther, plainly=0.02, error=error,
+            farther=farther, plainly=0.02, error=error, rest=0.4,
         )  # fmt: skip
 
-    def refit(problem, name, split, whole, least, begin, plainly):
+    def refit(problem, name, split, whole, least, begin, plainly, rest):
         begun.append((name, *begin))
-        assert (least, plainly) == (0.05, 0.02)
+        assert (least, plainly, rest) == (0.05, 0.02, 0.4)
         better = (name, begin[0]) == ("vignetting", 0.0)
         return trial(name, begin, 2.0 if better else 4.0, shares[name] + 0.1)
 
@@ -150,7 +151,7 @@ def test_what_the_base_imitates_is_looked_for_beside_its_rival(monkeypatch):
     names = ("chroma_denoising", "vignetting")
     drops = {"square roots": dict(zip(names, (-20.0, 0.5))), "linear values": dict(zip(names, (9.0, 0.4)))}
 
-    def refit(problem, name, split, whole, least, form=None, plainly=np.inf):
+    def refit(problem, name, split, whole, least, form=None, plainly=np.inf, rest=1.0):
         closed = {"chroma_denoising": 0.7, "vignetting": 0.05}[name]
         return Trial(name, problem.z, 11.0, 11.0 - 10 * closed, closed, closed, closed, least)
 

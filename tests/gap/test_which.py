@@ -85,6 +85,16 @@ def test_a_small_share_of_a_large_gap_is_accepted_where_pixels_show_the_effect()
     assert not dataclasses.replace(blur, farther=-0.25, plainly=np.inf).accepted
 
 
+def test_what_closes_most_of_the_rest_need_be_sure_of_that_alone():
+    """Scenes differ in what the first of two causes makes, which says nothing of the second."""
+    rows = dataclasses.replace(trial("row_noise", 0.15, 0.08, 0.21), surely=0.04, least=0.06)
+    assert not rows.accepted
+    assert dataclasses.replace(rows, rest=0.2).accepted
+    assert not dataclasses.replace(rows, rest=0.3).accepted  # half of what is left may be another's form
+    assert not dataclasses.replace(rows, rest=0.2, surely=0.009).accepted
+    assert not dataclasses.replace(rows, rest=0.2, low=0.05).accepted
+
+
 def test_what_is_nearer_by_far_leads_what_causes_before_left():
     smooth, blur = trial("chroma_denoising", 0.09, 0.07, 0.11), trial("motion_blur", 0.06, 0.055, 0.1)
     near = dataclasses.replace(blur, farther=-0.3)
