@@ -14,6 +14,7 @@ from experiments.withheld.numeric import srgb_encode
 from experiments.withheld.scenes import scenes
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.scenes import by_scene
+from tests.gap.schema import keeps_the_schema
 
 BODY = BODIES["alder"]
 TRIED = ("prnu", "column_noise", "row_noise")
@@ -39,7 +40,9 @@ def diagnosed(folder, what, amount):
             file = compressed(picture, BODY.quality, BODY.sampling, BODY.encoder)
             (folder / f"{name}.f{frame:02d}.jpg").write_bytes(file)
     (folder / "dataset.toml").write_text(f'[raw]\ncfa = "{BODY.cfa}"\n')
-    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+    report = diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+    keeps_the_schema(report)
+    return report
 
 
 @pytest.mark.slow

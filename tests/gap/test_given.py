@@ -26,6 +26,7 @@ from jaxisp.recipes import find_recipe
 from jaxisp.stages.noise import ShotReadNoise
 from jaxisp.stages.optics import Vignetting
 from jaxisp.stages.sensor import AdcQuantization
+from tests.gap.schema import keeps_the_schema
 
 ALL = candidates("clean+noisy")
 NOISE = ShotReadNoise(shot=4e-4, read=0.006)
@@ -147,6 +148,7 @@ def test_what_a_simulator_lacks_is_named(tmp_path, lacking):
     write(tmp_path, recipe, radial() if lacking == "vignetting" else np.ones((128, 128)))
     tried = ("vignetting", "film_grain", "tone_curve", "row_noise")
     report = diagnose(tmp_path, recipe=recipe, exclude=sorted(set(EFFECTS) - set(tried))).report
+    keeps_the_schema(report)
     assert report["base"]["given"] == "recipe mine" and report["base"]["fitted"].keys() <= {"demosaicking"}
     causes = [c["effect"] for c in report["causes"]]
     assert causes == ([] if lacking == "nothing" else ["vignetting"]), report["ranking"]
