@@ -114,6 +114,7 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
     """
     accepted = {t.effect: t for t, _ in found.causes}
     alike = {name: t.effect for t, names in found.causes for name in names}
+    usual = {name for name, why in apart.items() if why == NO_COLOURS}
     rows = []
     for name, promise in found.promises.items():
         trial, promised = accepted.get(name, found.trials.get(name)), float(promise / scale)
@@ -127,6 +128,8 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
             row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
         elif name in found.hidden:
             row |= {"status": "not_identifiable", "reason": HIDDEN}
+        elif usual & {*EFFECTS[name].alternatives}:  # it would say what the usual is not
+            row |= {"status": "not_identifiable", "reason": NO_COLOURS}
         elif trial is not None and (why := _refusal(trial, found)):
             row |= {"reason": why}
         rows.append(row)

@@ -10,6 +10,7 @@ from jaxisp.gap.rows import (
     HIDDEN,
     LEADS_LITTLE,
     NO_ACCOUNT,
+    NO_COLOURS,
     NO_HEADER,
     NO_MORE,
     NOT_SURE,
@@ -51,6 +52,16 @@ def test_what_was_not_named_says_why():
         "prnu": ("rejected", None),  # it was tried
         "tone_curve": ("absorbed", TAKEN_UP),
         "jpeg_quantization": ("absorbed", STATED),
+    }
+
+
+def test_without_colours_nothing_is_said_of_what_a_matrix_is_taken_for():
+    promises = {"saturation": 0.5, "vignetting": 0.5}
+    rows = ranking_rows(found(promises), {"color_matrix": NO_COLOURS}, 10.0)
+    assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
+        "saturation": ("not_identifiable", NO_COLOURS),
+        "color_matrix": ("not_identifiable", NO_COLOURS),
+        "vignetting": ("rejected", None),
     }
 
 
