@@ -90,9 +90,10 @@ LEAST_UNIT = {RAW_JPEG: 4.0, CLEAN_NOISY: 0.0}
 36; what is harmless is no smaller where a file is not compressed, and its floor 0.1."""
 NULL_EXCESS = {RAW_JPEG: 0.5, CLEAN_NOISY: 1.0}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
-and its order of steps are not quite the base's. As 47 and 24 nulls have it, see docs/diagnosis.md."""
+and its order of steps are not quite the base's."""
 NULL_DROP = {RAW_JPEG: 0.1, CLEAN_NOISY: 0.7}
-"""By how much, as a share of the floor, an effect may lower that camera's gap all the same."""
+"""By how much, as a share of the floor, an effect may lower that camera's gap all the same; measured by
+`experiments.null_drops` (docs/results/null-drops.md)."""
 
 
 class Gap(NamedTuple):
