@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.custom_derivatives import SymbolicZero
 
 
 def materialize(x: Any) -> Any:
@@ -67,19 +68,33 @@ def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Ar
 def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
     """`share * fn(*operands)`; where the share is 0 `fn` is not run.
 
-    Gradient: the product's, at 0 too, so that a fit can leave 0.
+    Gradient: the product's, at 0 too, so that a fit can leave 0; a share that is 0 and fixed runs nothing.
 
     Args:
         fn: its result has the shape of the last operand. It must not close over what is differentiated.
         share: a scalar.
         operands: arrays.
     """
+    return _where_it_counts(fn, share, *operands)
+
+
+def _where_it_counts(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
     return share * lax.cond(share != 0, fn, lambda *xs: jnp.zeros_like(xs[-1]), *operands)
 
 
-@weighted.defjvp
 def _weighted_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
-    return jax.jvp(lambda share, *operands: share * fn(*operands), primals, tangents)
+    still = [isinstance(t, SymbolicZero) for t in tangents]
+
+    def product(*moved: Any) -> jax.Array:
+        rest = iter(moved)
+        share, *operands = [p if fixed else next(rest) for p, fixed in zip(primals, still)]
+        return _where_it_counts(fn, share, *operands) if still[0] else share * fn(*operands)
+
+    moving, changes = ([v for v, fixed in zip(vs, still) if not fixed] for vs in (primals, tangents))
+    return jax.jvp(product, moving, changes)
+
+
+weighted.defjvp(_weighted_jvp, symbolic_zeros=True)
 
 
 def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:

@@ -62,11 +62,15 @@ def test_weighted_is_not_run_at_0_but_its_gradient_is_the_products():
         jax.debug.callback(lambda: ran.append(1))
         return x * x
 
-    product = jax.jit(lambda share, x: weighted(fn, share, x))
-    for share, count in ((0.0, 0), (0.5, 1)):
-        value = product(share, jnp.float32(3))
-        jax.effects_barrier()
-        assert value == share * 9 and len(ran) == count
+    def product(share, x):
+        return weighted(fn, share, x)
+
+    for of, expected in ((product, 9), (jax.grad(product, argnums=1), 6)):  # the share is fixed in both
+        for share, count in ((0.0, 0), (0.5, 1)):
+            ran.clear()
+            value = jax.jit(of)(share, jnp.float32(3))
+            jax.effects_barrier()
+            assert value == share * expected and len(ran) == count
     plain = jax.vmap(lambda share, x: weighted(lambda v: v * v, share, x))
     at = jnp.array([0.0, 0.5, -2.0]), jnp.array([3.0, 1.5, -1.0])
     check_grads(plain, at, order=1, modes=["fwd", "rev"], rtol=1e-2, atol=1e-2)
