@@ -203,6 +203,14 @@ def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):
     assert not list((tmp_path / "o").glob("*"))
 
 
+def test_a_fit_of_nothing_leaves_no_folder(capsys, tmp_path):
+    out = tmp_path / "new" / "camera.toml"
+    extra = ["--recipe", str(tmp_path / "other" / "prior.toml"), "--report", str(tmp_path / "new" / "report")]
+    assert main(["fit", str(tmp_path / "missing"), "-o", str(out), *extra]) == 2
+    assert "missing: no such" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

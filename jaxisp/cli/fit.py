@@ -2,6 +2,8 @@
 
 import sys
 from argparse import Namespace
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
@@ -72,13 +74,14 @@ def run(arguments: Namespace) -> int:
 def _fitted(arguments: Namespace) -> Any:
     from jaxisp.fit import fit_dataset
     from jaxisp.fit.journal import beside
-    from jaxisp.io import output_file, output_folder
+    from jaxisp.io import filled_folder, output_file
 
-    for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
-        output_file(path)
-    if arguments.report:
-        output_folder(arguments.report)
-    with progress("fitting") as tick:
+    with ExitStack() as stack, progress("fitting") as tick:
+        for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
+            stack.enter_context(filled_folder(Path(path).parent))
+            output_file(path)
+        if arguments.report:
+            stack.enter_context(filled_folder(arguments.report))
         return fit_dataset(
             arguments.dataset,
             steps=arguments.steps,
