@@ -137,6 +137,6 @@ def test_a_diagnosis_has_them(tmp_path, kind, other):
         assert luma["after"].energy[0] < 0.2 * luma["before"].energy[0], "light falls off slowly"
     else:
         ratio = luma["after"].energy[2:] / luma["real"].energy[2:]
-        assert ratio.min() > 0.6 and ratio.max() < 1.6
+        assert 0.8 < np.median(ratio) < 1.25 and ratio.min() > 0.5 and ratio.max() < 2  # few frequencies each
     page = found.save(tmp_path / "out").read_text()
     assert "Spectrum, luma" in page and "The same for chroma" in page
