@@ -1,6 +1,6 @@
 """Gradient-safe primitives: total functions, surrogate gradients, and what keeps XLA fast."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -64,37 +64,38 @@ def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Ar
     return straight_through(jnp.clip(x, low, high), soft)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
     """`share * fn(*operands)`; where the share is 0 `fn` is not run.
 
-    Gradient: the product's, at 0 too, so that a fit can leave 0; a share that is 0 and fixed runs nothing.
+    Gradient: the product's, at 0 too, so that a fit can leave 0; a share that is 0 and fixed runs nothing. Of
+    the first order only: at 0 second derivatives to the share and an operand depend on which comes first.
 
     Args:
         fn: its result has the shape of the last operand. It must not close over what is differentiated.
         share: a scalar.
         operands: arrays.
     """
-    return _where_it_counts(fn, share, *operands)
+    return share * _run_where(share != 0, fn, operands) + _leaving_zero(fn, share, *operands)
 
 
-def _where_it_counts(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
-    return share * lax.cond(share != 0, fn, lambda *xs: jnp.zeros_like(xs[-1]), *operands)
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _leaving_zero(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
+    return jnp.zeros_like(operands[-1])
 
 
-def _weighted_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
-    still = [isinstance(t, SymbolicZero) for t in tangents]
-
-    def product(*moved: Any) -> jax.Array:
-        rest = iter(moved)
-        share, *operands = [p if fixed else next(rest) for p, fixed in zip(primals, still)]
-        return _where_it_counts(fn, share, *operands) if still[0] else share * fn(*operands)
-
-    moving, changes = ([v for v, fixed in zip(vs, still) if not fixed] for vs in (primals, tangents))
-    return jax.jvp(product, moving, changes)
+def _leaving_zero_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
+    """No tangent goes through the branch here: batched, it could not be transposed."""
+    share, *operands = primals
+    still = jnp.zeros_like(operands[-1])
+    change = tangents[0]
+    return still, still if isinstance(change, SymbolicZero) else change * _run_where(share == 0, fn, operands)
 
 
-weighted.defjvp(_weighted_jvp, symbolic_zeros=True)
+_leaving_zero.defjvp(_leaving_zero_jvp, symbolic_zeros=True)
+
+
+def _run_where(wanted: jax.Array, fn: Callable[..., jax.Array], operands: Sequence[jax.Array]) -> jax.Array:
+    return lax.cond(wanted, fn, lambda *xs: jnp.zeros_like(xs[-1]), *operands)
 
 
 def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:

@@ -72,6 +72,9 @@ def test_weighted_is_not_run_at_0_but_its_gradient_is_the_products():
             jax.effects_barrier()
             assert value == share * expected and len(ran) == count
     plain = jax.vmap(lambda share, x: weighted(lambda v: v * v, share, x))
+    fixed = jnp.array([0.0, 0.5, -2.0])  # of a batch, in which only the operands move
+    slopes = jax.jit(jax.grad(lambda x: plain(fixed, x).sum()))(jnp.array([3.0, 1.5, -1.0]))
+    np.testing.assert_allclose(slopes, [0, 1.5, 4])
     at = jnp.array([0.0, 0.5, -2.0]), jnp.array([3.0, 1.5, -1.0])
     check_grads(plain, at, order=1, modes=["fwd", "rev"], rtol=1e-2, atol=1e-2)
     assert jax.grad(lambda share: weighted(lambda v: v * v, share, jnp.float32(3)))(0.0) == 9

@@ -2,7 +2,8 @@
 
 import sys
 from argparse import Namespace
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +53,15 @@ def run(arguments: Namespace) -> int:
     from jaxisp.fit.report import write_report
 
     join(arguments)
-    result = _fitted(arguments)
-    if jax.process_index():  # the first writes for all
-        return report_failures(result.failed)
-    result.camera.save(arguments.out)
-    if arguments.recipe:
-        prior_from_cameras([result.camera]).save(arguments.recipe)
-    if arguments.report:
-        write_report(result, arguments.report)
+    with _places(arguments):
+        result = _fitted(arguments)
+        if jax.process_index():  # the first writes for all
+            return report_failures(result.failed)
+        result.camera.save(arguments.out)
+        if arguments.recipe:
+            prior_from_cameras([result.camera]).save(arguments.recipe)
+        if arguments.report:
+            write_report(result, arguments.report)
     beside(arguments.out).unlink(missing_ok=True)
     for pair in result.pairs:
         for note in pair.notes:
@@ -71,17 +73,25 @@ def run(arguments: Namespace) -> int:
     return report_failures(result.failed)
 
 
-def _fitted(arguments: Namespace) -> Any:
-    from jaxisp.fit import fit_dataset
-    from jaxisp.fit.journal import beside
+@contextmanager
+def _places(arguments: Namespace) -> Iterator[None]:
+    """Where results go is tried first: a fault there should not cost a fit."""
     from jaxisp.io import filled_folder, output_file
 
-    with ExitStack() as stack, progress("fitting") as tick:
-        for path in filter(None, (arguments.out, arguments.recipe)):  # a fault here should not cost a fit
+    with ExitStack() as stack:
+        for path in filter(None, (arguments.out, arguments.recipe)):
             stack.enter_context(filled_folder(Path(path).parent))
             output_file(path)
         if arguments.report:
             stack.enter_context(filled_folder(arguments.report))
+        yield
+
+
+def _fitted(arguments: Namespace) -> Any:
+    from jaxisp.fit import fit_dataset
+    from jaxisp.fit.journal import beside
+
+    with progress("fitting") as tick:
         return fit_dataset(
             arguments.dataset,
             steps=arguments.steps,

@@ -80,6 +80,7 @@ NO_ACCOUNT = "does not account for the gap"
 HIDDEN = "these pairs hardly show it, however strong"
 TAKEN_UP = "taken up by the base fit"
 STATED = "the file's header states it"
+_COLOURS = {"hue", "saturation"}
 NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
 NO_HEADER = "without the file's header nothing tells it from the file's own compression"
 """Why a candidate was not named; any of `ranking`'s reasons."""
@@ -114,7 +115,7 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
     """
     accepted = {t.effect: t for t, _ in found.causes}
     alike = {name: t.effect for t, names in found.causes for name in names}
-    usual = {name for name, why in apart.items() if why == NO_COLOURS}
+    colourless = NO_COLOURS in apart.values()
     rows = []
     for name, promise in found.promises.items():
         trial, promised = accepted.get(name, found.trials.get(name)), float(promise / scale)
@@ -128,7 +129,7 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
             row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
         elif name in found.hidden:
             row |= {"status": "not_identifiable", "reason": HIDDEN}
-        elif usual & {*EFFECTS[name].alternatives}:  # it would say what the usual is not
+        elif colourless and {*EFFECTS[name].axes} <= _COLOURS:
             row |= {"status": "not_identifiable", "reason": NO_COLOURS}
         elif trial is not None and (why := _refusal(trial, found)):
             row |= {"reason": why}

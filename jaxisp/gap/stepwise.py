@@ -287,6 +287,6 @@ def replayed(
         off = problem.model.indices(set(problem.model.effects) - set(names[: k + 1]))
         begin = end.copy()
         begin[off] = 0
-        found.append(refit(problem, name, split, whole, least, begin=begin))
+        found.append(refit(problem, name, split, whole, least, begin=begin, rest=_remaining(found)))
         _go_to(problem, found[-1])
     return found

@@ -55,12 +55,13 @@ def test_what_was_not_named_says_why():
     }
 
 
-def test_without_colours_nothing_is_said_of_what_a_matrix_is_taken_for():
-    promises = {"saturation": 0.5, "vignetting": 0.5}
+def test_without_colours_nothing_is_said_of_what_changes_them_alone():
+    promises = dict.fromkeys(("saturation", "crosstalk", "vignetting"), 0.5)
     rows = ranking_rows(found(promises), {"color_matrix": NO_COLOURS}, 10.0)
     assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
         "saturation": ("not_identifiable", NO_COLOURS),
         "color_matrix": ("not_identifiable", NO_COLOURS),
+        "crosstalk": ("rejected", None),  # it blurs, too
         "vignetting": ("rejected", None),
     }
 

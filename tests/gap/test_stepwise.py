@@ -199,7 +199,8 @@ def needed(monkeypatch, closes, names, least=0.05, seen=(), near=None):
     problem, begun = Fitted(closes), []
     problem.near = near
 
-    def fitted(problem, name, begin):
+    def fitted(problem, name, begin, rest):
+        assert rest == pytest.approx((problem.gap(problem.z) - 1) / 10), "what the others leave"
         z = problem.z.copy()
         z[NAMES.index(name)] = 1
         begun.append(None if begin is None else begin.tolist())
@@ -208,11 +209,11 @@ def needed(monkeypatch, closes, names, least=0.05, seen=(), near=None):
         return Trial(name, z, before, after, closed, closed - 0.01, closed + 0.01, least)
 
     monkeypatch.setattr(
-        stepwise, "refit", lambda problem, name, *a, begin=None, form=None: fitted(problem, name, begin)
+        stepwise, "refit", lambda problem, name, *a, begin, rest: fitted(problem, name, begin, rest)
     )
     start, trials = (problem.model, problem.z), []
     for name in names:
-        trials.append(fitted(problem, name, None))
+        trials.append(fitted(problem, name, None, (problem.gap(problem.z) - 1) / 10))
         problem.move_to(trials[-1].z)
     begun.clear()
     whole = Whole(10.0, np.ones((1, 1)))
