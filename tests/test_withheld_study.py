@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,6 +24,7 @@ from experiments.withheld.study import (
 )
 from experiments.withheld.tables import markdown, wilson
 from experiments.withheld_targets import located, targets
+from jaxisp.gap import verdict
 from jaxisp.gap.measured import NULL_DROP
 
 
@@ -82,7 +84,20 @@ def test_what_lowers_the_gap_of_a_camera_that_lacks_nothing() -> None:
     assert found["lowered"]["prnu"] == pytest.approx([0.08, 0.04]) and len(found["lowered"]) == 2
     assert null_drops.most(found)[0] == "prnu" and null_drops.most({"lowered": {}})[1:] == (0.0, 0.0)
     text = null_drops.page([{"case": "a", "kind": "clean+noisy"} | found], "--limit 1")
-    assert "| clean+noisy | 1 | 0.18 | 0.18 | 0.04 | 0.04 | 0.7 |" in text and "| a | 0.00 | prnu | " in text
+    assert "| clean+noisy | 1 | 0.08 | 0.08 | 0.04 | 0.04 | 0.7 |" in text and "| a | 0.00 | prnu | " in text
+
+
+def test_nulls_are_searched_for_one_cause_though_their_gap_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diagnosis(folder: str) -> SimpleNamespace:
+        assert len(list(Path(folder).glob("*.jpg"))) == 8
+        assert NULL_DROP[KINDS[1]] < 0 and verdict.MOST_CAUSES == 1
+        gap = {"before": 1.5, "floor": 1.0}
+        return SimpleNamespace(report={"kind": KINDS[1], "gap": gap, "ranking": []})
+
+    monkeypatch.setattr(null_drops, "diagnose", diagnosis)
+    case = next(cases(KINDS[1], "nulls", ["alder"], [1]))
+    assert null_drops.looked_at(case) == {"case": case.name, "kind": KINDS[1], "above": 0.5, "lowered": {}}
+    assert NULL_DROP[KINDS[1]] > 0 and verdict.MOST_CAUSES > 1
 
 
 def test_deleting_hides_the_true_effect_alone() -> None:

@@ -92,8 +92,8 @@ NULL_EXCESS = {RAW_JPEG: 0.5, CLEAN_NOISY: 1.0}
 """How far above the floor, as a share of it, the gap of a camera that lacks nothing may be: its demosaicker
 and its order of steps are not quite the base's."""
 NULL_DROP = {RAW_JPEG: 0.1, CLEAN_NOISY: 0.7}
-"""By how much, as a share of the floor, an effect may lower that camera's gap all the same; measured by
-`experiments.null_drops` (docs/results/null-drops.md)."""
+"""By how much, as a share of the floor, an effect may lower that camera's gap all the same;
+`experiments.null_drops` measures it (RAW+JPEG: docs/results/null-drops.md)."""
 
 
 class Gap(NamedTuple):

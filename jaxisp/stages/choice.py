@@ -48,7 +48,8 @@ def demosaicking(
 ) -> CameraRGB:
     """Demosaick by one of eight algorithms, or a mix, the choice being a parameter.
 
-    `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap` all are).
+    `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap`,
+    and for gradients to the shares, all are).
 
     Args:
         params: the shares.

@@ -228,7 +228,7 @@ def rescaling(params: Rescaling, image: RGB) -> RGB:
     """`resampling` by a mix of ways, for a factor whose kernels are not known.
 
     `y = R_0 x + sum_k share_k (R_k x - R_0 x)`, R_0 antialiased and bilinear. A way whose share is 0 is
-    not run.
+    not run (under `vmap`, and for gradients to the shares, all are).
 
     Args:
         params: the factor and the shares.

@@ -60,7 +60,8 @@ class LumaDenoising:
 def luma_denoising(params: LumaDenoising, image: EncodedRGB) -> EncodedRGB:
     """Smooth luma with edges kept, by a mix of filters.
 
-    `Y' = Y + sum_k share_k (F_k(Y) - Y)`; chroma stays. A filter whose share is 0 is not run.
+    `Y' = Y + sum_k share_k (F_k(Y) - Y)`; chroma stays. A filter whose share is 0 is not run (under
+    `vmap`, and for gradients to the shares, all are).
 
     Args:
         params: shares.
@@ -94,7 +95,8 @@ class ChromaDenoising:
 def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
     """Smooth Cb and Cr, by a mix of filters.
 
-    `C' = C + sum_k share_k (F_k(C) - C)`; luma stays. A filter whose share is 0 is not run.
+    `C' = C + sum_k share_k (F_k(C) - C)`; luma stays. A filter whose share is 0 is not run (under
+    `vmap`, and for gradients to the shares, all are).
 
     Args:
         params: shares.
