@@ -1,19 +1,21 @@
 """The diagnosis of pictures that the package itself made: what it says where its own code is on both sides.
 
-    python -m experiments.inverse_crime --out docs/results/inverse-crime.json
+    python -m experiments.inverse_crime --kind raw+jpeg --out docs/results/inverse-crime.json
 
-Base and effects are the diagnosis' own, fitted to a withheld body's RAW+JPEG pairs, so that nothing but the
-effect is lacking. That is no evidence: it stands beside the cameras that share no code
-(`experiments.withheld`), to say how much of what they show is the method and how much their being others. A
-run that was broken off goes on.
+Base and effects are the diagnosis' own, fitted to a withheld body's pairs, so that nothing but the effect is
+lacking. That is no evidence: it stands beside the cameras that share no code (`experiments.withheld`), to say
+how much of what they show is the method and how much their being others. A run that was broken off goes on.
 """
 
 import argparse
+import copy
 import json
+import shutil
 import tempfile
 import zlib
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,35 +24,76 @@ from experiments.withheld.camera import compressed
 from experiments.withheld.effects import ABSORBABLE
 from experiments.withheld.shoot import write
 from experiments.withheld.study import kept
-from experiments.withheld.tables import wilson
+from experiments.withheld.tables import table, wilson
 from jaxisp.gap import EFFECTS, diagnose, prepare
-from jaxisp.gap.effects import RAW_JPEG
+from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.noisy_case import clean_case
 from jaxisp.gap.residual import Problem
 from jaxisp.io.datasets import open_dataset
+from jaxisp.io.files import atomic_write
 
 BODY = "alder"
-RMS = 3.0
-"""How much the effect changes the picture, root mean square over its values, in 8-bit steps."""
-ELSEWHERE = {
-    "demosaicking": "part of the base",
-    "film_grain": "random: no point of the model",
-    "jpeg_quantization": "stated by the file",
-}
-SHOWN = 1.25
-"""Floors from which most effects are found, in RAW+JPEG pairs of the cameras that share no code."""
-TAKEN_UP = (*ABSORBABLE, "black_level_offset")
+DEMOSAICKING, STATED = {"demosaicking": "part of the base"}, {"jpeg_quantization": "stated by the file"}
+RANDOM = {"film_grain": "random: no point of the model"}
 
 
-def base_before(folder: Path) -> Problem:
-    """The plain base as a diagnosis fits it to these pairs, all effects in it and off."""
+class Arm(NamedTuple):
+    """How one kind of pairs is made.
+
+    Attributes:
+        base: a folder's base as a diagnosis fits it, all effects in it and off.
+        size: of a point, how large what it changes is.
+        wanted: how large that is to be.
+        shown: floors from which most effects are found in cameras that share no code.
+        taken_up: effects that the base takes up.
+        elsewhere: effects left out, and why.
+        told: of the page, how large that is in words.
+    """
+
+    base: Callable[[Path], Any]
+    size: Callable[[Any, np.ndarray], float]
+    wanted: float
+    shown: float
+    taken_up: Collection[str]
+    elsewhere: Mapping[str, str]
+    told: str
+
+
+def raw_base(folder: Path) -> Problem:
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
     pairs = prepare.raw_pairs(loaded)
-    effects = prepare.candidates(RAW_JPEG)
-    base = prepare.raw_model(loaded, pairs, effects, range(0, len(loaded), 2))
+    base = prepare.raw_model(loaded, pairs, prepare.candidates(RAW_JPEG), range(0, len(loaded), 2))
     return Problem(base.model, pairs)
 
 
-def direction(problem: Problem, name: str) -> np.ndarray:
+def noisy_base(folder: Path) -> Any:
+    loaded = [pair.load() for pair in open_dataset(folder).pairs]
+    return clean_case(loaded, None, (), 0, lambda *at: None).problem
+
+
+def steps(problem: Any, z: np.ndarray) -> float:
+    """Root mean square change of the pictures, in 8-bit steps."""
+    return float(255 * np.sqrt(np.mean((problem.rendered(z) - problem.rendered(problem.z)) ** 2)))
+
+
+def floors(problem: Any, z: np.ndarray) -> float:
+    """The gap to the body's pictures, in which nothing is missing."""
+    return float(problem.errors(z).mean())
+
+
+ARMS = {
+    RAW_JPEG: Arm(
+        raw_base, steps, 3.0, 1.25, (*ABSORBABLE, "black_level_offset"), DEMOSAICKING | RANDOM | STATED,
+        "to change them by 3 8-bit steps, root mean square",
+    ),
+    CLEAN_NOISY: Arm(
+        noisy_base, floors, 10.0, 2.0, ABSORBABLE, DEMOSAICKING | STATED,
+        "to make a gap of 10 floors to the body's own, other noise being drawn",
+    ),
+}  # fmt: skip
+
+
+def direction(problem: Any, name: str) -> np.ndarray:
     """Drawn moves of all of an effect's parameters, as many probes wide."""
     own = problem.model.indices([name])
     drawn = np.random.default_rng(zlib.crc32(name.encode())).standard_normal(len(own))
@@ -63,40 +106,40 @@ def direction(problem: Problem, name: str) -> np.ndarray:
     return towards
 
 
-def strong(problem: Problem, name: str) -> tuple[np.ndarray, float]:
-    """A point with the effect as strong as wanted, or as strong as its range allows, and the change."""
-    plain, towards = problem.rendered(problem.z), direction(problem, name)
+def strong(arm: Arm, problem: Any, name: str) -> np.ndarray:
+    """A point with the effect as strong as wanted, or as strong as its range allows."""
+    towards = direction(problem, name)
     low, high = problem.model.ranges
 
-    def at(length: float) -> tuple[np.ndarray, float]:
-        moved = problem.z + length * towards
-        z = np.where(towards == 0, problem.z, np.clip(moved, low, high))
-        return z, float(255 * np.sqrt(np.mean((problem.rendered(z) - plain) ** 2)))
+    def at(length: float) -> np.ndarray:
+        return np.where(towards == 0, problem.z, np.clip(problem.z + length * towards, low, high))
 
     shortest, longest = 0.0, 8.0
-    if at(longest)[1] <= RMS:
-        return at(longest)
-    for _ in range(12):
-        middle = (shortest + longest) / 2
-        shortest, longest = (middle, longest) if at(middle)[1] < RMS else (shortest, middle)
+    if arm.size(problem, at(longest)) > arm.wanted:
+        for _ in range(12):
+            middle = (shortest + longest) / 2
+            less = arm.size(problem, at(middle)) < arm.wanted
+            shortest, longest = (middle, longest) if less else (shortest, middle)
     return at(longest)
 
 
-def examine(problem: Problem, base: Path, name: str) -> dict[str, Any]:
-    z, change = strong(problem, name)
+def examine(arm: Arm, problem: Any, base: Path, name: str) -> dict[str, Any]:
+    z = strong(arm, problem, name)
+    other = copy.copy(problem)
+    other.seed = 1  # of noise that the diagnosis does not draw
     body = BODIES[BODY]
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        (folder / "dataset.toml").write_bytes((base / "dataset.toml").read_bytes())
-        for pair, picture in zip(problem.pairs.names, problem.rendered(z)):
-            (folder / f"{pair}.raw.npy").write_bytes((base / f"{pair}.raw.npy").read_bytes())
+        shutil.copytree(base, folder, dirs_exist_ok=True)
+        for pair, picture in zip(problem.pairs.names, other.rendered(z)):
             pixels = np.rint(255 * picture).astype(np.uint8)
             (folder / f"{pair}.jpg").write_bytes(compressed(pixels, body.quality, "4:4:4"))
-        return {"effect": name, "rms": round(change, 2)} | kept(diagnose(folder).report)
+        return {"effect": name, "size": round(arm.size(problem, z), 2)} | kept(diagnose(folder).report)
 
 
-def page(found: dict[str, Any]) -> str:
-    sure = [r for r in found.values() if r["effect"] not in TAKEN_UP]
+def page(kind: str, found: dict[str, Any], out: Path) -> str:
+    arm = ARMS[kind]
+    sure = [r for r in found.values() if r["effect"] not in arm.taken_up]
     rates = {
         "right effect first": [r["causes"][:1] == [r["effect"]] for r in sure],
         "it or one that it cannot be told from": [
@@ -105,55 +148,57 @@ def page(found: dict[str, Any]) -> str:
         ],
     }
     lines = [
-        "# The package on both sides",
+        f"# The package on both sides, {kind}",
         "",
         "```sh",
-        "python -m experiments.inverse_crime --out docs/results/inverse-crime.json",
+        f"python -m experiments.inverse_crime --kind {kind} --out {out}",
         "```",
         "",
-        f"Eight RAWs of {BODY}, 256x256, four held out; pictures by the diagnosis' own base as fitted to it, "
-        f"with one effect, drawn and scaled to change them by {RMS:g} 8-bit steps, or as far as its range "
-        "allows. No evidence: what stands in [withheld effects](withheld.md) is.",
+        f"Eight pairs of {BODY}, 256x256, half held out; pictures by the diagnosis' own base as fitted "
+        f"to them, with one effect, drawn and scaled {arm.told}, or as far as its range allows. No evidence: "
+        "what stands in [withheld effects](targets.md) is.",
         "",
     ]
-    shown = [r["gap"]["before"] >= SHOWN * r["gap"]["floor"] for r in sure]
+    shown = [r["gap"]["before"] >= arm.shown * r["gap"]["floor"] for r in sure]
     for what, hits in rates.items():
         low, high = wilson(sum(hits), len(hits))
         seen = [hit for hit, plain in zip(hits, shown) if plain]
-        rest = f"{sum(seen)} of the {len(seen)} whose gap is at least {SHOWN:g} floors"
+        rest = f"{sum(seen)} of the {len(seen)} whose gap is at least {arm.shown:g} floors"
         lines.append(f"- {what}: {sum(hits)} of {len(hits)} [{low:.0%}, {high:.0%}]; {rest}")
-    lines += [
-        "",
-        "| effect | change [RMS] | gap, floor | verdict | causes, share closed |",
-        "| --- " * 5 + "|",
-    ]
+    rows = []
     for r in found.values():
         causes = ", ".join(f"{c} {r['closed'][c]:.2f}" for c in r["causes"])
         gap = f"{r['gap']['before']:.3g}, {r['gap']['floor']:.3g}"
-        taken = " (the base takes it up)" if r["effect"] in TAKEN_UP else ""
-        lines.append(f"| {r['effect']}{taken} | {r['rms']:g} | {gap} | {r['verdict']} | {causes} |")
-    left = ", ".join(f"{name} ({why})" for name, why in ELSEWHERE.items())
-    return "\n".join([*lines, "", f"Left out: {left}.", ""])
+        taken = " (the base takes it up)" if r["effect"] in arm.taken_up else ""
+        rows.append([r["effect"] + taken, f"{r['size']:g}", gap, r["verdict"], causes])
+    left = ", ".join(f"{name} ({why})" for name, why in arm.elsewhere.items())
+    shares = table(["effect", "scaled to", "gap, floor", "verdict", "causes, share closed"], rows)
+    return "\n".join([*lines, "", shares, f"Left out: {left}.", ""])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", choices=ARMS, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    out = parser.parse_args().out
+    arguments = parser.parse_args()
+    kind, out = arguments.kind, arguments.out
     found: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
     with tempfile.TemporaryDirectory() as temporary:
         base = Path(temporary)
-        write(base, BODY, {}, RAW_JPEG, "two")
-        problem = base_before(base)
-        for name in sorted(e.name for e in EFFECTS.values() if RAW_JPEG in e.shows_in):
-            if name in ELSEWHERE or name in found:
+        write(base, BODY, {}, kind, "two")
+        problem = ARMS[kind].base(base)
+        for name in sorted(e.name for e in EFFECTS.values() if kind in e.shows_in):
+            if name in ARMS[kind].elsewhere or name in found:
                 continue
-            found[name] = examine(problem, base, name)
-            partial = out.with_suffix(".partial")
-            partial.write_text(json.dumps(found, indent=1))
-            partial.replace(out)
-            print(name, found[name]["rms"], found[name]["verdict"], found[name]["causes"], flush=True)
-    out.with_suffix(".md").write_text(page(found))
+            found[name] = examine(ARMS[kind], problem, base, name)
+            _save(out, json.dumps(found, indent=1) + "\n")
+            print(name, found[name]["size"], found[name]["verdict"], found[name]["causes"], flush=True)
+    _save(out.with_suffix(".md"), page(kind, found, out))
+
+
+def _save(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode())
 
 
 if __name__ == "__main__":
