@@ -155,8 +155,8 @@ def page(kind: str, found: dict[str, Any], out: Path) -> str:
         "```",
         "",
         f"Eight pairs of {BODY}, 256x256, half held out; pictures by the diagnosis' own base as fitted "
-        f"to them, with one effect, drawn and scaled {arm.told}, or as far as eight probes or its range go. No evidence: "
-        "what stands in [withheld effects](targets.md) is.",
+        f"to them, with one effect, drawn and scaled {arm.told}, or as far as eight probes or its range go. "
+        "No evidence: what stands in [withheld effects](targets.md) is.",
         "",
     ]
     shown = [r["gap"]["before"] >= arm.shown * r["gap"]["floor"] for r in sure]
