@@ -126,7 +126,7 @@ def test_maps_have_one_scale():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind, other", [("raw+jpeg", "floor"), ("clean+noisy", "real")])
 def test_a_diagnosis_has_them(tmp_path, kind, other):
-    write(tmp_path, "birch", {"vignetting": 4}, kind, size=128, count=4)
+    write(tmp_path, "birch", {"vignetting": 4}, kind, size=128, count=8)  # low frequencies have few coefficients
     kept = {"vignetting", "film_grain"}
     found = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - kept))
     assert found.causes == ["vignetting"]
@@ -137,6 +137,6 @@ def test_a_diagnosis_has_them(tmp_path, kind, other):
         assert luma["after"].energy[0] < 0.2 * luma["before"].energy[0], "light falls off slowly"
     else:
         ratio = luma["after"].energy[2:] / luma["real"].energy[2:]
-        assert 0.8 < np.median(ratio) < 1.25 and ratio.min() > 0.5 and ratio.max() < 2  # few frequencies each
+        assert ratio.min() > 0.6 and ratio.max() < 1.6
     page = found.save(tmp_path / "out").read_text()
     assert "Spectrum, luma" in page and "The same for chroma" in page
