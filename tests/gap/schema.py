@@ -7,6 +7,7 @@ import pytest
 
 from jaxisp.gap import EFFECTS
 from jaxisp.gap.effects import AXES, BOTH, SITES
+from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP
 
 STATUSES = {"accepted", "rejected", "absorbed", "not_identifiable"}
 
@@ -27,7 +28,9 @@ def keeps_the_schema(report):
     assert 0 <= left["share"] <= 1 and set(left["axes"]) <= set(AXES) and left["description"]
     if report["verdict"] != "none":
         best, explained = gap["reducible"]["best"], gap["reducible"]["explained"]
-        assert best <= gap["after"] and (explained is None or explained <= 1)  # None: nothing can be reduced
+        unit = max(gap["floor"], LEAST_UNIT[report["kind"]])
+        little = gap["before"] - best <= NULL_DROP[report["kind"]] * unit
+        assert best <= gap["after"] and (explained is None if little else explained <= 1)
 
 
 def _causes(verdict, causes, gap):
