@@ -30,7 +30,7 @@ from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.gap.noisy_case import clean_case
 from jaxisp.gap.residual import Problem
 from jaxisp.io.datasets import open_dataset
-from jaxisp.io.files import atomic_write
+from jaxisp.io.files import write_text
 
 BODY = "alder"
 DEMOSAICKING, STATED = {"demosaicking": "part of the base"}, {"jpeg_quantization": "stated by the file"}
@@ -47,7 +47,7 @@ class Arm(NamedTuple):
         shown: floors from which most effects are found in cameras that share no code.
         taken_up: effects that the base takes up.
         elsewhere: effects left out, and why.
-        told: of the page, how large that is in words.
+        told: of the page, that in words.
     """
 
     base: Callable[[Path], Any]
@@ -84,11 +84,11 @@ def floors(problem: Any, z: np.ndarray) -> float:
 ARMS = {
     RAW_JPEG: Arm(
         raw_base, steps, 3.0, 1.25, (*ABSORBABLE, "black_level_offset"), DEMOSAICKING | RANDOM | STATED,
-        "to change them by 3 8-bit steps, root mean square",
+        "to change them by {:g} 8-bit steps, root mean square",
     ),
     CLEAN_NOISY: Arm(
         noisy_base, floors, 10.0, 2.0, ABSORBABLE, DEMOSAICKING | STATED,
-        "to make a gap of 10 floors to the body's own, other noise being drawn",
+        "to make a gap of {:g} floors to the body's own, other noise being drawn",
     ),
 }  # fmt: skip
 
@@ -155,8 +155,8 @@ def page(kind: str, found: dict[str, Any], out: Path) -> str:
         "```",
         "",
         f"Eight pairs of {BODY}, 256x256, half held out; pictures by the diagnosis' own base as fitted "
-        f"to them, with one effect, drawn and scaled {arm.told}, or as far as eight probes or its range go. "
-        "No evidence: what stands in [withheld effects](targets.md) is.",
+        f"to them, with one effect, drawn and scaled {arm.told.format(arm.wanted)}, or as far as eight "
+        "probes or its range go. No evidence: what stands in [withheld effects](targets.md) is.",
         "",
     ]
     shown = [r["gap"]["before"] >= arm.shown * r["gap"]["floor"] for r in sure]
@@ -191,14 +191,9 @@ def main() -> None:
             if name in ARMS[kind].elsewhere or name in found:
                 continue
             found[name] = examine(ARMS[kind], problem, base, name)
-            _save(out, json.dumps(found, indent=1) + "\n")
+            write_text(out, json.dumps(found, indent=1) + "\n")
             print(name, found[name]["size"], found[name]["verdict"], found[name]["causes"], flush=True)
-    _save(out.with_suffix(".md"), page(kind, found, out))
-
-
-def _save(path: Path, text: str) -> None:
-    with atomic_write(path) as file:
-        file.write(text.encode())
+    write_text(out.with_suffix(".md"), page(kind, found, out))
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from experiments.withheld.study import Case, cases, shuffled
 from experiments.withheld.tables import table
 from jaxisp.gap import diagnose, verdict
 from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP
-from jaxisp.io.files import atomic_write
+from jaxisp.io.files import write_text
 
 Record = dict[str, Any]
 PAGE = """# What effects lower where nothing is missing
@@ -107,15 +107,10 @@ def main() -> None:
         for case in shuffled(list(cases(kind, "nulls", arguments.bodies, (1,))))[: arguments.limit]:
             if case.name not in found:
                 found[case.name] = looked_at(case)
-                _save(out, json.dumps(found, indent=1) + "\n")
+                write_text(out, json.dumps(found, indent=1) + "\n")
                 name, drop, low = most(found[case.name])
                 print(f"{case.name}: {name} {drop:.2f}, {low:.2f}", flush=True)
-    _save(out.with_suffix(".md"), page(list(found.values()), " ".join(sys.argv[1:])))
-
-
-def _save(path: Path, text: str) -> None:
-    with atomic_write(path) as file:
-        file.write(text.encode())
+    write_text(out.with_suffix(".md"), page(list(found.values()), " ".join(sys.argv[1:])))
 
 
 if __name__ == "__main__":
