@@ -126,7 +126,7 @@ def test_maps_have_one_scale():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind, other", [("raw+jpeg", "floor"), ("clean+noisy", "real")])
 def test_a_diagnosis_has_them(tmp_path, kind, other):
-    write(tmp_path, "birch", {"vignetting": 4}, kind, size=128, count=8)  # low frequencies have few coefficients
+    write(tmp_path, "birch", {"vignetting": 4}, kind, size=128, count=8)  # of 4 low frequencies are rough
     kept = {"vignetting", "film_grain"}
     found = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - kept))
     assert found.causes == ["vignetting"]
