@@ -80,10 +80,11 @@ NO_ACCOUNT = "does not account for the gap"
 HIDDEN = "these pairs hardly show it, however strong"
 TAKEN_UP = "taken up by the base fit"
 STATED = "the file's header states it"
-_COLOURS = {"hue", "saturation"}
 NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
 NO_HEADER = "without the file's header nothing tells it from the file's own compression"
 """Why a candidate was not named; any of `ranking`'s reasons."""
+_COLOURS = {"hue", "saturation"}
+"""The axes of what acts by colour alone."""
 
 
 def _refusal(trial: Trial, found: Found) -> str | None:
