@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
@@ -23,6 +24,26 @@ def materialize(x: Any) -> Any:
         return lax.cond(barrier(True), barrier, barrier, value)
 
     return lax.platform_dependent(x, cpu=store, default=lambda v: v)
+
+
+def on_all_cores(index: jax.Array) -> jax.Array:
+    """The index of a loop, unchanged, of which the loop's body must make use; on a CPU it is sorted.
+
+    From 0.11 on, jaxlib runs a loop on one of a CPU's cores if it takes it for small, and its count of bytes
+    leaves out what is inside branches, where `materialize` puts the work. A loop that sorts is left as it is.
+    """
+    return lax.platform_dependent(index, cpu=lambda i: lax.sort(jnp.stack([i, i]))[0], default=lambda i: i)
+
+
+def nearest_int(x: jax.Array) -> jax.Array:
+    """The nearest whole numbers, half to even, as int32; |x| is at most 2**22.
+
+    XLA's own conversion looks after NaN and overflow, and takes a CPU several times as long.
+    """
+    if x.dtype != jnp.float32:
+        return jnp.round(x).astype(jnp.int32)
+    far = np.float32(3 << 22)  # around it, steps of float32 are 1: the sum is rounded, and ends in the number
+    return lax.bitcast_convert_type(x + far, jnp.int32) - far.view(np.int32)
 
 
 def safe_sqrt(x: jax.Array) -> jax.Array:

@@ -10,7 +10,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize
+from jaxisp.numerics import materialize, on_all_cores
 
 _LARGE, _STRIP = 1 << 18, 1 << 17  # px: a frame that is worth strips, and one of them
 ROWS = 64
@@ -71,7 +71,7 @@ def in_strips(fn: Callable[[Any], Any], image: Any, reach: int, *, rows: int = R
         return materialize(fn(materialize(_window(image, top, cut.window))))
 
     def body(i: jax.Array, frame: Any) -> Any:
-        start, top = cut.place(i)
+        start, top = cut.place(on_all_cores(i))
         return _put(frame, _window(one(top), start - top, cut.core), start)
 
     empty = jax.tree.map(lambda s: jnp.zeros((cut.height, *s.shape[1:]), s.dtype), jax.eval_shape(one, 0))
@@ -87,7 +87,7 @@ def _pulled_in_strips(
     """
 
     def body(i: jax.Array, sums: tuple[Any, Any]) -> tuple[Any, Any]:
-        start, top = cut.place(i)
+        start, top = cut.place(on_all_cores(i))
         row = start + jnp.arange(cut.core)
         # strips overlap where the height is no multiple of their steps: each row counts for one of them
         fresh = (row >= i * cut.step) & ((row < (i + 1) * cut.step) | (i == cut.pieces - 1))

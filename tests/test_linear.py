@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxisp.linear import inner_product, linear_call, pointwise, scaled
+from jaxisp.linear import fused_sum, inner_product, linear_call, pointwise, scaled
 
 MATRIX = np.random.default_rng(0).standard_normal((4, 3))
 
@@ -72,6 +72,14 @@ def test_inner_product_and_scaled(shape, rng, x64):
     x, y = rng.standard_normal((2, *shape))
     np.testing.assert_allclose(inner_product(x, y), np.sum(x * y), rtol=1e-12)
     check_grads(scaled, (jnp.asarray(0.7), jnp.asarray(x)), order=2, modes=["fwd", "rev"])
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_fused_sum(axis, rng, x64):
+    x = jnp.asarray(rng.standard_normal((3, 8, 5)))
+    np.testing.assert_allclose(jax.jit(lambda v: fused_sum(v, axis))(x), x.sum(axis), rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(lambda v: fused_sum(v, axis))(x[None])[0], x.sum(axis), rtol=1e-12)
+    check_grads(lambda v: fused_sum(v**3, axis), (x,), order=2, modes=["fwd", "rev"])
 
 
 def test_pointwise_has_the_gradients_of_the_plain_form(rng, x64):

@@ -10,6 +10,8 @@ from jaxisp.numerics import (
     clip_through,
     elementwise,
     materialize,
+    nearest_int,
+    on_all_cores,
     per_plane,
     planes,
     round_through,
@@ -32,6 +34,33 @@ def test_materialize_is_the_identity(rng):
     x = jnp.asarray(rng.standard_normal((3, 5)))
     np.testing.assert_array_equal(jax.jit(materialize)(x), x)
     np.testing.assert_array_equal(jax.grad(lambda v: (materialize(v) ** 2).sum())(x), 2 * x)
+
+
+def test_a_loop_of_materialized_work_is_left_to_all_cores():
+    """jaxlib from 0.11 on takes such a loop for small, marks it and runs it on one core."""
+
+    def body(i, x):
+        return materialize(jnp.sin(x)) + on_all_cores(i)
+
+    def loop(x):
+        return jax.lax.fori_loop(0, 5, body, x)
+
+    x = jnp.linspace(0, 1, 4096).reshape(64, 64)
+    assert "xla_cpu_small_call" not in jax.jit(loop).lower(x).compile().as_text()
+    want = x
+    for i in range(5):
+        want = jnp.sin(want) + i
+    np.testing.assert_allclose(jax.jit(loop)(x), want, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_nearest_integers_are_numpys(dtype, rng, x64):
+    most = 2**11 if dtype == np.float16 else 2**22
+    numbers = np.r_[np.linspace(-most, most, 4097), np.arange(-9, 9.5, 0.5), rng.uniform(-99, 99, 1000)]
+    numbers = numbers.astype(dtype)
+    got = jax.jit(nearest_int)(numbers)
+    assert got.dtype == np.int32
+    np.testing.assert_array_equal(got, np.round(numbers).astype(int))
 
 
 @pytest.mark.parametrize("fn", [safe_sqrt, lambda x: safe_divide(1.0, x)])

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.node import Node
+from jaxisp.numerics import on_all_cores
 from jaxisp.pipeline import Chain, Gate, Params, Stage
 from jaxisp.stages.choice import DEMOSAICKERS, demosaicking
 
@@ -119,4 +120,4 @@ def _apply(
 
     shape = jax.eval_shape(one, 0)
     start = jnp.zeros((len(images), *shape.shape), shape.dtype)
-    return lax.fori_loop(0, count, lambda i, found: found.at[i].set(one(i)), start)
+    return lax.fori_loop(0, count, lambda i, found: found.at[i].set(one(on_all_cores(i))), start)

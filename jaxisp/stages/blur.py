@@ -14,7 +14,7 @@ from jax import lax
 
 from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import per_plane, planes, safe_divide, straight_through
+from jaxisp.numerics import on_all_cores, per_plane, planes, safe_divide, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.striping import in_strips_on_cpu
@@ -228,6 +228,7 @@ def _correlate(padded: jax.Array, taps: jax.Array) -> jax.Array:
 
     def add_row(i: jax.Array, total: jax.Array) -> jax.Array:
         # one row of taps a kernel: unrolled altogether they take 8 times as long
+        i = on_all_cores(i)
         strip = lax.dynamic_slice(padded, (i, 0), (h, padded.shape[1]))
         weights = lax.dynamic_slice(taps, (i, 0), (1, columns))[0]
         return total + reduce(jnp.add, (weights[j] * strip[:, j : j + w] for j in range(columns)))

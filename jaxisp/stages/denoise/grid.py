@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.linear import linear_call, scaled
+from jaxisp.linear import fused_sum, linear_call, scaled
 from jaxisp.numerics import materialize
 
 Planes = tuple[jax.Array, ...]
@@ -185,14 +185,14 @@ _splat.defjvp(_splat_jvp, symbolic_zeros=True)
 def _collect(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Array:
     z = jnp.arange(bins, dtype=u.dtype)[:, None, None, None]
     return _sum(
-        [jnp.sum(_tent(u[some] - z, slope) * values[:, some], axis=2) for some in _groups(len(u))], _UNROLLED
+        [fused_sum(_tent(u[some] - z, slope) * values[:, some], 2) for some in _groups(len(u))], _UNROLLED
     )
 
 
 def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
     """The transpose of `_collect`."""
     z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
-    terms = [jnp.sum(_tent(u - z[some], slope) * grid[some, :, None], axis=0) for some in _groups(len(grid))]
+    terms = [fused_sum(_tent(u - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
     return _sum(terms, _UNROLLED)
 
 
@@ -250,7 +250,7 @@ def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: 
         terms = []
         for some in _groups(len(grid)):
             near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
-            terms.append(jnp.sum(_tent(own - z[some], slope) * near, axis=0))
+            terms.append(fused_sum(_tent(own - z[some], slope) * near, 0))
         parts.append(materialize(_sum(terms, _UNROLLED)))
     return jnp.concatenate(parts, axis=1)
 
