@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.numerics import nearest_int
+
 
 def fixed(value: float, bits: int = 16) -> int:
     """A constant in fixed point."""
@@ -107,7 +109,7 @@ def _by_block(blocks: jax.Array) -> jax.Array:
 
 def _quantize(blocks: jax.Array, table: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The forward DCT: coefficients times 8 and whole-numbered levels, (R, 8, W / 8, 8), in floats."""
-    lines = lax.optimization_barrier(_rows_forward(blocks - 128).astype(jnp.int32))
+    lines = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
     scaled = _by_block(_columns(_forward_1d, lines, 15)).astype(blocks.dtype)
     step = table[:, :, None]
     # rounds half away from zero; the extra half keeps floor() clear of the division's own rounding
@@ -128,7 +130,7 @@ def through_blocks(blocks: jax.Array, table: jax.Array) -> jax.Array:
 
 
 def _dequantize(level: jax.Array, table: jax.Array) -> jax.Array:
-    restored = (level * table[:, :, None]).astype(jnp.int32)
+    restored = nearest_int(level * table[:, :, None])
     restored = restored.reshape(*restored.shape[:2], -1)
     lines = _columns(_inverse_1d, restored, 11).astype(level.dtype)
     return jnp.clip(_rows_inverse(lines) + 128, 0, 255)

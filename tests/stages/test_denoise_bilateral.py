@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane, bilateral_planes
+from jaxisp.stages.denoise.bilateral import (
+    Bilateral,
+    _exp2,
+    bilateral,
+    bilateral_plane,
+    bilateral_planes,
+)
 from tests.conftest import smooth_image
 
 SIZES = ((9, 14), (1, 6), (2, 7))  # radius 2 also reaches beyond both borders
@@ -113,6 +119,27 @@ def test_forward_mode_is_the_transpose_of_reverse_mode(rng, x64):
     for now, t, up, down in zip(out, tangent, *ends):
         np.testing.assert_allclose(t, (up - down) / 2e-6, atol=1e-6)
         assert np.abs(now - (up + down) / 2).max() < 1e-6
+
+
+def test_second_derivatives_in_single_precision(rng):
+    """Whose weights are polynomials and bits, which autodiff sees nothing of."""
+    plane = jnp.asarray(rng.random((9, 11)), jnp.float32)
+
+    def twice(call):
+        return jax.grad(jax.grad(lambda s: jnp.sum(call(plane, 1.2, s) ** 2)))(jnp.float32(0.3))
+
+    got = twice(lambda p, space, sigma: bilateral_plane(p, p, space, sigma, 2))
+    want = twice(lambda p, space, sigma: naive((p,), p, space, sigma, 2, jnp)[0])
+    assert abs(want) > 0.1
+    np.testing.assert_allclose(got, want, rtol=1e-3)
+
+
+def test_powers_of_two():
+    """Against float64, over all that single precision holds; less is as good as nothing."""
+    x = np.linspace(-130, 0, 100_001).astype(np.float32)
+    got, normal = jax.jit(_exp2)(x), x > -125
+    np.testing.assert_allclose(got[normal], np.exp2(x[normal].astype(float)), rtol=3e-7)
+    assert np.all((got[~normal] >= 0) & (got[~normal] < 1e-37))
 
 
 def test_float32_gradient_of_sigmas(rng):

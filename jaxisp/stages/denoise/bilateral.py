@@ -13,7 +13,7 @@ from jaxisp import numerics
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import materialize
+from jaxisp.numerics import materialize, nearest_int
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
@@ -241,29 +241,38 @@ def _collected(
 
 def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tuple[jax.Array, jax.Array]]:
     """A function of (guide, near guide, squared distance): the weight and the guide difference."""
-    space, range_ = -0.5 / sigma_space**2, -0.5 / sigma_range**2
+    to_bits = -0.5 * np.log2(np.e)
+    space, range_ = to_bits / sigma_space**2, to_bits / sigma_range**2
 
     def weight(guide: jax.Array, near: jax.Array, squared: int) -> tuple[jax.Array, jax.Array]:
         d = near - guide
-        return _exp(space * squared + range_ * d * d), d
+        return _exp2(space * squared + range_ * d * d), d
 
     return weight
 
 
-def _exp(x: jax.Array) -> jax.Array:
-    """exp of x <= 0; in float32 a polynomial, within 2e-7.
+@jax.custom_jvp
+def _exp2(x: jax.Array) -> jax.Array:
+    """2**x of x <= 0; in float32 a polynomial, within 3e-7.
 
     XLA will not compute its own exp twice, so that with several sums it stores the weight of each tap.
     """
     if x.dtype != jnp.float32:
-        return jnp.exp(x)
-    y = jnp.maximum(x * np.float32(np.log2(np.e)), -126.0)
-    whole = lax.round(y, lax.RoundingMethod.TO_NEAREST_EVEN)
-    part: Any = 0.0
+        return jnp.exp2(x)
+    x = jnp.maximum(x, -125.0)
+    whole = nearest_int(x)
+    rest, part = x - whole.astype(x.dtype), jnp.zeros_like(x)
     for coefficient in _EXP2[::-1]:
-        part = part * (y - whole) + coefficient
-    power = lax.bitcast_convert_type(whole.astype(jnp.int32) + 127 << 23, jnp.float32)
-    return part * power
+        part = part * rest + coefficient
+    # the whole number is added to the exponent
+    bits = lax.bitcast_convert_type(part, jnp.int32) + (whole << 23)
+    return lax.bitcast_convert_type(bits, jnp.float32)
+
+
+@_exp2.defjvp
+def _exp2_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    y = _exp2(*primals)
+    return y, float(np.log(2)) * y * tangents[0]
 
 
 def _over_disc(
