@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.numerics import materialize
+
 _ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 _PARITY = np.uint32(0x1BD11BDA)
 
@@ -17,12 +19,14 @@ def standard_normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) ->
     """
     if dtype != jnp.float32 or str(jax.random.key_impl(key)) != "threefry2x32":
         return jax.random.normal(key, shape, dtype)
-    bits = reduce(jnp.bitwise_xor, _threefry(jax.random.key_data(key), *_counters(shape)))
+    rows = (shape[0], int(np.prod(shape[1:]))) if len(shape) > 2 else shape  # of interleaved pixels
+    bits = reduce(jnp.bitwise_xor, _threefry(jax.random.key_data(key), *_counters(rows)))
     # 23 bits as a number in [1, 2), from there to (-1, 1)
     ones = jax.lax.bitcast_convert_type(bits >> 9 | np.uint32(0x3F800000), jnp.float32)
     low = np.nextafter(np.float32(-1), np.float32(0))
     uniform = jnp.maximum(low, (ones - 1) * (1 - low) + low)
-    return np.float32(np.sqrt(2)) * jax.lax.erf_inv(uniform)
+    drawn = np.float32(np.sqrt(2)) * jax.lax.erf_inv(uniform)
+    return materialize(drawn).reshape(shape) if rows != shape else drawn
 
 
 def _counters(shape: tuple[int, ...]) -> tuple[jax.Array, jax.Array]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.domains import Image
-from jaxisp.numerics import safe_sqrt, straight_through
+from jaxisp.numerics import materialize, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise.draws import normal
@@ -114,6 +114,11 @@ def _poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     as can be when the mean changes. Summed up to a mean of 16, Giles's expansion beyond, whose
     distribution function is right within 2e-5.
     """
+    if (
+        mean.ndim > 2
+    ):  # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
+        rows = materialize(mean.reshape(len(mean), -1))
+        return materialize(_poisson_excess(key, rows)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
     sign = jax.random.uniform(key, mean.shape, mean.dtype, minval=-1 + tiny, maxval=1)
     return jnp.where(mean < 16, _summed(0.5 * (1 + sign), mean), _expanded(sign, mean))
