@@ -17,6 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxisp.linear import inner_product, linear_call, total
 from jaxisp.numerics import materialize, safe_divide
 
+_NARROW = 256  # px: the rows of wider frames are joined as fast as they are looked up
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 
@@ -33,7 +34,23 @@ def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") 
     if mode == "reflect" and any(n < 2 and r for n, r in zip(plane.shape, (ry, rx))):
         mode = "edge"  # a single row or column has nothing to reflect
     width = ((ry, ry), (rx, rx), *[(0, 0)] * (plane.ndim - 2))
-    return lax.optimization_barrier(jnp.pad(plane, width, mode=mode))
+    if mode == "constant" or not ry or (rx and plane.shape[1] > _NARROW):
+        return lax.optimization_barrier(jnp.pad(plane, width, mode=mode))
+    return lax.optimization_barrier(_extended(plane, width, mode))
+
+
+def _extended(plane: jax.Array, width: tuple[tuple[int, int], ...], mode: Any) -> jax.Array:
+    """`jnp.pad` with the rows looked up: joining them takes XLA's CPU code longer where they are short."""
+
+    def looked_up(_: Any, x: jax.Array) -> jax.Array:
+        place = np.pad(np.arange(len(x), dtype=np.int32), width[0], mode=mode)
+        rows = jnp.take(x.reshape(len(x), -1), place, axis=0, mode="clip")
+        return jnp.pad(rows.reshape(len(place), *x.shape[1:]), ((0, 0), *width[1:]), mode=mode)
+
+    def joined_back(_: Any, y: jax.Array) -> jax.Array:
+        return jax.linear_transpose(lambda x: jnp.pad(x, width, mode=mode), plane)(y)[0]
+
+    return linear_call(looked_up, joined_back, (), plane)
 
 
 def views(

@@ -7,7 +7,29 @@ import pytest
 import scipy.ndimage as ndi
 from jax.test_util import check_grads
 
-from jaxisp.windows import _MOST_TAPS, filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
+from jaxisp.windows import (
+    _MOST_TAPS,
+    _NARROW,
+    filter_rows_columns,
+    gaussian_blur,
+    gaussian_taps,
+    pad,
+    square,
+    views,
+)
+
+
+@pytest.mark.parametrize("mode", ["reflect", "symmetric", "edge", "constant"])
+@pytest.mark.parametrize("radius", [(2, 1), (3, 0), (0, 4)])
+@pytest.mark.parametrize("shape", [(11, 8), (2, 3), (5, _NARROW + 1), (6, 4, 3)])
+def test_pad_is_numpys_and_its_gradient_that_of_the_plain_form(shape, radius, mode, rng, x64):
+    x, width = rng.standard_normal(shape), [(r, r) for r in radius] + [(0, 0)] * (len(shape) - 2)
+    want = np.pad(x, width, mode=mode)
+    np.testing.assert_array_equal(jax.jit(lambda v: pad(v, radius, mode))(x), want)
+    weights = rng.standard_normal(want.shape)
+    got = jax.grad(lambda v: jnp.sum(weights * pad(v, radius, mode)))(x)
+    plain = jax.grad(lambda v: jnp.sum(weights * jnp.pad(v, width, mode=mode)))(x)
+    np.testing.assert_allclose(got, plain, rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(21, 34), (9, 5), (3, 40), (1, 7), (2, 2)])
