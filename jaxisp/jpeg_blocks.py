@@ -154,8 +154,8 @@ _SINE = (3.141592654, -5.167712765, 2.550163318, -0.5992521865, 0.08205035015, -
 def _sine(x: jax.Array) -> jax.Array:
     """sin(pi x) up to its sign, within 1e-6; XLA's own takes ten times as long on a CPU."""
     part = x - jnp.round(x)
-    square, value = part * part, jnp.zeros_like(part)
-    for coefficient in _SINE[::-1]:
+    square, value = part * part, jnp.full_like(part, _SINE[-1])
+    for coefficient in _SINE[-2::-1]:
         value = value * square + coefficient
     return value * part
 

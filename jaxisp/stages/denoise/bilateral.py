@@ -261,8 +261,8 @@ def _exp2(x: jax.Array) -> jax.Array:
         return jnp.exp2(x)
     x = jnp.maximum(x, -125.0)
     whole = nearest_int(x)
-    rest, part = x - whole.astype(x.dtype), jnp.zeros_like(x)
-    for coefficient in _EXP2[::-1]:
+    rest, part = x - whole.astype(x.dtype), jnp.full_like(x, _EXP2[-1])
+    for coefficient in _EXP2[-2::-1]:
         part = part * rest + coefficient
     # the whole number is added to the exponent
     bits = lax.bitcast_convert_type(part, jnp.int32) + (whole << 23)
