@@ -101,14 +101,18 @@ def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Arra
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _leaving_zero(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
-    return jnp.zeros_like(operands[-1])
+    return _zero(operands[-1])
+
+
+def _zero(x: jax.Array) -> jax.Array:
+    """0 that has the batch axes of x: without, JAX cannot transpose a rule whose tangents have them."""
+    return jnp.where(jnp.zeros_like(x, bool), x, 0)
 
 
 def _leaving_zero_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
     """No tangent goes through the branch here: batched, it could not be transposed."""
     share, *operands = primals
-    still = jnp.zeros_like(operands[-1])
-    change = tangents[0]
+    still, change = _zero(operands[-1]), tangents[0]
     return still, still if isinstance(change, SymbolicZero) else change * _run_where(share == 0, fn, operands)
 
 

@@ -109,6 +109,20 @@ def test_weighted_is_not_run_at_0_but_its_gradient_is_the_products():
     assert jax.grad(lambda share: weighted(lambda v: v * v, share, jnp.float32(3)))(0.0) == 9
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_one_share_for_a_batch_of_pictures(share, rng):
+    pictures = jnp.asarray(rng.random((3, 4, 5)), jnp.float32)
+
+    def loss(share, pictures):
+        batch = jax.jit(jax.vmap(lambda s, x: weighted(jnp.sin, s, x), (None, 0)))
+        return jnp.sum(batch(share, pictures) ** 2 + pictures * share)
+
+    got = jax.jit(jax.grad(loss, (0, 1)))(share, pictures)
+    sine = jnp.sin(pictures)
+    np.testing.assert_allclose(got[0], jnp.sum(2 * share * sine**2 + pictures), rtol=1e-5)
+    np.testing.assert_allclose(got[1], 2 * share**2 * sine * jnp.cos(pictures) + share, rtol=1e-5)
+
+
 def test_per_plane_treats_channels_alike(rng):
     image = jnp.asarray(rng.standard_normal((4, 6, 3)), jnp.float32)
     flipped = per_plane(lambda p: p[::-1], image)
