@@ -35,7 +35,7 @@ PAGE = Path("docs/results/stages.md")
 KEY = jax.random.key(0)
 SWITCHED = (
     "bilateral", "defocus", "geometric_distortion", "jpeg", "median", "motion_blur", "optical_blur",
-    "resampling", "saturation", "srgb_oetf", "unsharp_mask", "wavelet_coring",
+    "resampling", "s_curve", "saturation", "unsharp_mask", "wavelet_coring",
 )  # fmt: skip
 
 
@@ -118,11 +118,14 @@ def batch(case: Node) -> jax.Array:
     return jax.device_put(np.random.default_rng(0).uniform(0.02, 0.98, shape).astype(np.float32))
 
 
+def gates() -> dict[str, Gate]:
+    return {name: Gate(stage(name)) for name in SWITCHED}
+
+
 def measure_switches(budget: float) -> dict[str, Any]:
     """A stage that is switched on and off without a new compilation, one switch for the batch."""
     calls: dict[str, Callable[[], Any]] = {}
-    for name in SWITCHED:
-        gate = Gate(stage(name))
+    for name, gate in gates().items():
         images = batch(gate)
         for word, on in (("on", 1.0), ("off", 0.0)):
             params = jax.device_put(gate.init() | {gate.name: Switch(on=jnp.float32(on))})

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import musts, peers, report, timing
+from benchmarks import musts, peers, report, stages, timing
 from benchmarks.case import Case, Peer
 
 LIMITS = {"copy_gb_per_s": {"batch": 10.0, "1 MP": 5.0}, "peak_gflop_per_s": 100.0}
@@ -124,6 +124,10 @@ def test_every_family_gives_cases():
     for name in peers.families():
         module = __import__(f"benchmarks.cases.{name}", fromlist=["cases"])
         assert callable(module.cases)
+
+
+def test_every_stage_that_is_switched_can_be():
+    assert set(stages.gates()) == set(stages.SWITCHED)
 
 
 def test_what_was_asked_for_is_judged_by_its_own_measure(tmp_path):
