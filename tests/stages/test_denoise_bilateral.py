@@ -134,6 +134,14 @@ def test_second_derivatives_in_single_precision(rng):
     np.testing.assert_allclose(got, want, rtol=1e-3)
 
 
+def test_single_precision_stays_where_double_is_enabled(rng, x64):
+    plane = jnp.asarray(rng.random((7, 9)), jnp.float32)
+    value, slope = jax.value_and_grad(lambda p, s: jnp.sum(bilateral_plane(p, p, s, 0.2, 2)), (0, 1))(
+        plane, jnp.float32(1.2)
+    )
+    assert value.dtype == slope[0].dtype == slope[1].dtype == jnp.float32
+
+
 def test_powers_of_two():
     """Against float64, over all that single precision holds; less is as good as nothing."""
     x = np.linspace(-130, 0, 100_001).astype(np.float32)

@@ -1,5 +1,6 @@
 """Bilateral filtering of luma and chroma."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -241,7 +242,7 @@ def _collected(
 
 def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tuple[jax.Array, jax.Array]]:
     """A function of (guide, near guide, squared distance): the weight and the guide difference."""
-    to_bits = -0.5 * np.log2(np.e)
+    to_bits = -0.5 / math.log(2)
     space, range_ = to_bits / sigma_space**2, to_bits / sigma_range**2
 
     def weight(guide: jax.Array, near: jax.Array, squared: int) -> tuple[jax.Array, jax.Array]:
@@ -272,7 +273,7 @@ def _exp2(x: jax.Array) -> jax.Array:
 @_exp2.defjvp
 def _exp2_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     y = _exp2(*primals)
-    return y, float(np.log(2)) * y * tangents[0]
+    return y, math.log(2) * y * tangents[0]
 
 
 def _over_disc(

@@ -114,9 +114,8 @@ def _poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     as can be when the mean changes. Summed up to a mean of 16, Giles's expansion beyond, whose
     distribution function is right within 2e-5.
     """
-    if (
-        mean.ndim > 2
-    ):  # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
+    if mean.ndim > 2:
+        # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
         rows = materialize(mean.reshape(len(mean), -1))
         return materialize(_poisson_excess(key, rows)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
