@@ -1,12 +1,15 @@
 """Looks that a phone lays over its picture: a free tone curve, colour by hue, tone by neighbourhood."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB, EncodedRGB
+from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize, planes, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -124,11 +127,10 @@ def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
     return jnp.stack(ycbcr_to_rgb_planes(y + lift * chroma, cos * cb - sin * cr, sin * cb + cos * cr), -1)
 
 
+@jax.custom_jvp
 def _by_hue(hue: jax.Array, amounts: tuple[jax.Array, ...]) -> list[jax.Array]:
     """What each list of amounts has at a hue [rad]: raised cosines from one sector's middle to the next's."""
-    at = hue * (SECTORS / (2 * math.pi)) % SECTORS
-    first = jnp.where(at < SECTORS, jnp.floor(at), 0)  # a hue just below 0 may be rounded up to all of them
-    share = 0.5 - 0.5 * jnp.cos(math.pi * (at - first))  # of the next
+    first, share = _sectors(hue)
     values = [jnp.zeros_like(hue) for _ in amounts]
     for k in range(SECTORS):
         here = first == k
@@ -136,6 +138,30 @@ def _by_hue(hue: jax.Array, amounts: tuple[jax.Array, ...]) -> list[jax.Array]:
             between = a[k] + share * (a[(k + 1) % SECTORS] - a[k])
             values[i] = jnp.where(here, between, values[i])
     return values
+
+
+@_by_hue.defjvp
+def _by_hue_jvp(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[jax.Array]]:
+    (hue, amounts), (d_hue, d_amounts) = primals, tangents
+    values, by_hue = jax.jvp(lambda h: _by_hue.fun(h, amounts), (hue,), (d_hue,))
+    by_amounts = linear_call(_by_hue.fun, _gathered, hue, d_amounts)
+    return values, [a + b for a, b in zip(by_hue, by_amounts)]
+
+
+def _gathered(hue: jax.Array, cotangents: list[jax.Array]) -> tuple[jax.Array, ...]:
+    """The transpose to the amounts, as products: autodiff sums over the picture once for each of them."""
+    first, share = _sectors(hue)
+    before = [jnp.where(first == k, 1 - share, 0) for k in range(SECTORS)]
+    after = [jnp.where(first == (k - 1) % SECTORS, share, 0) for k in range(SECTORS)]
+    weights = materialize(jnp.stack([a + b for a, b in zip(before, after)])).reshape(SECTORS, -1)
+    return tuple(jnp.matmul(weights, c.reshape(-1), precision=lax.Precision.HIGHEST) for c in cotangents)
+
+
+def _sectors(hue: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The sector whose middle is before a hue [rad], and the share of the next."""
+    at = hue * (SECTORS / (2 * math.pi)) % SECTORS
+    first = jnp.where(at < SECTORS, jnp.floor(at), 0)  # a hue just below 0 may be rounded up to all of them
+    return first, 0.5 - 0.5 * jnp.cos(math.pi * (at - first))
 
 
 @parameters
