@@ -124,6 +124,12 @@ def total(image: jax.Array) -> jax.Array:
     return jnp.matmul(rows, jnp.ones(rows.shape[1], rows.dtype), precision=lax.Precision.HIGHEST).sum()
 
 
+def mean(image: jax.Array) -> jax.Array:
+    """The mean over an image, summed in float32 at least."""
+    wide = image.astype(jnp.promote_types(image.dtype, jnp.float32))
+    return (total(wide) / image.size).astype(image.dtype)
+
+
 def fused_sum(x: jax.Array, axis: int) -> jax.Array:
     """`x.sum(axis)`, in the kernel that computes x.
 
@@ -131,12 +137,14 @@ def fused_sum(x: jax.Array, axis: int) -> jax.Array:
     is summed: 10 times slower where that is computed on the spot.
     """
 
+    shape = x.shape
+
     def add(a: jax.Array, b: jax.Array) -> jax.Array:
         return a - (-b)
 
     return linear_call(
         lambda _, x: lax.reduce(x, np.zeros((), x.dtype), add, (axis,)),
-        lambda _, y: jnp.broadcast_to(jnp.expand_dims(y, axis), x.shape),
+        lambda _, y: jnp.broadcast_to(jnp.expand_dims(y, axis), shape),
         (),
         x,
     )

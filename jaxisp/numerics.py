@@ -20,10 +20,14 @@ def materialize(x: Any) -> Any:
 
     def store(value: Any) -> Any:
         # the branches hold a barrier because JAX removes a cond whose branches return what they were given
-        barrier = lax.optimization_barrier
-        return lax.cond(barrier(True), barrier, barrier, value)
+        return lax.cond(_barrier(True), _barrier, _barrier, value)
 
     return lax.platform_dependent(x, cpu=store, default=lambda v: v)
+
+
+def _barrier(tree: Any) -> Any:
+    """A barrier for each array: jax 0.12 cannot transpose one of several arrays of which only some move."""
+    return jax.tree.map(lax.optimization_barrier, tree)
 
 
 def on_all_cores(index: jax.Array) -> jax.Array:
@@ -101,18 +105,18 @@ def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Arra
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _leaving_zero(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:
-    return _zero(operands[-1])
+    return _zero(share, operands[-1])
 
 
-def _zero(x: jax.Array) -> jax.Array:
-    """0 that has the batch axes of x: without, JAX cannot transpose a rule whose tangents have them."""
-    return jnp.where(jnp.zeros_like(x, bool), x, 0)
+def _zero(share: jax.Array, x: jax.Array) -> jax.Array:
+    """0 with the batch axes of both: without, JAX cannot transpose a rule whose tangents have them."""
+    return jnp.where(jnp.zeros_like(x, bool) & (share == 0), x, 0)
 
 
 def _leaving_zero_jvp(fn: Callable[..., jax.Array], primals: Any, tangents: Any) -> Any:
     """No tangent goes through the branch here: batched, it could not be transposed."""
     share, *operands = primals
-    still, change = _zero(operands[-1]), tangents[0]
+    still, change = _zero(share, operands[-1]), tangents[0]
     return still, still if isinstance(change, SymbolicZero) else change * _run_where(share == 0, fn, operands)
 
 
@@ -148,5 +152,5 @@ def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
     shape = images[0].shape
     if len(shape) < 3:
         return fn(*images)
-    barrier = lax.optimization_barrier  # or XLA would move the reshapes out of the way
-    return barrier(fn(*barrier([x.reshape(shape[0], -1) for x in images]))).reshape(shape)
+    # barriers, or XLA would move the reshapes out of the way
+    return _barrier(fn(*_barrier([x.reshape(shape[0], -1) for x in images]))).reshape(shape)

@@ -42,13 +42,15 @@ def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") 
 def _extended(plane: jax.Array, width: tuple[tuple[int, int], ...], mode: Any) -> jax.Array:
     """`jnp.pad` with the rows looked up: joining them takes XLA's CPU code longer where they are short."""
 
+    whole = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
+
     def looked_up(_: Any, x: jax.Array) -> jax.Array:
         place = np.pad(np.arange(len(x), dtype=np.int32), width[0], mode=mode)
         rows = jnp.take(x.reshape(len(x), -1), place, axis=0, mode="clip")
         return jnp.pad(rows.reshape(len(place), *x.shape[1:]), ((0, 0), *width[1:]), mode=mode)
 
     def joined_back(_: Any, y: jax.Array) -> jax.Array:
-        return jax.linear_transpose(lambda x: jnp.pad(x, width, mode=mode), plane)(y)[0]
+        return jax.linear_transpose(lambda x: jnp.pad(x, width, mode=mode), whole)(y)[0]
 
     return linear_call(looked_up, joined_back, (), plane)
 

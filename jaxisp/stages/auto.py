@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxisp.color import luma
 from jaxisp.domains import RGB
-from jaxisp.linear import total
+from jaxisp.linear import mean
 from jaxisp.numerics import planes, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -128,9 +128,9 @@ def auto_exposure(params: AutoExposure, image: RGB, *, average: str = "log") -> 
     """
     y = luma(*planes(image))
     if average == "log":
-        level = jnp.exp(total(jnp.log(jnp.maximum(y, 1e-4))) / y.size)
+        level = jnp.exp(mean(jnp.log(jnp.maximum(y, 1e-4))))
     elif average == "mean":
-        level = total(y) / y.size
+        level = mean(y)
     else:
         raise ValueError(f'average={average!r} is neither "log" nor "mean"')
     return image * (params.target / jnp.maximum(level, params.target * jnp.exp2(-params.max_gain_ev)))
@@ -158,9 +158,9 @@ def _minkowski_mean(plane: jax.Array, norm: jax.Array) -> jax.Array:
     peak = jnp.maximum(jax.lax.stop_gradient(jnp.max(plane)), DARKEST)
     share = jnp.maximum(plane / peak, DARKEST)
     powers = jnp.where(plane > 0, jnp.exp(norm * jnp.log(share)), 0.0)
-    mean = total(powers) / powers.size
-    lit = mean > 0
-    return jnp.where(lit, peak * jnp.exp(jnp.log(jnp.where(lit, mean, 1.0)) / norm), 0.0)
+    average = mean(powers)
+    lit = average > 0
+    return jnp.where(lit, peak * jnp.exp(jnp.log(jnp.where(lit, average, 1.0)) / norm), 0.0)
 
 
 @register

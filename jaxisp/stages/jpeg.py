@@ -5,7 +5,6 @@ from collections.abc import Iterable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
@@ -105,7 +104,7 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
     levels = _levels(image)
     exact = levels[0].dtype
     coded = compress_full_or_half(levels, luma.astype(exact), chroma.astype(exact), full)
-    return _stacked(coded, levels, image.dtype)
+    return _stacked(coded, image)
 
 
 def _level_table(tables: np.ndarray, level: jax.Array) -> jax.Array:
@@ -186,18 +185,18 @@ def _through_jpeg(
     exact = red.dtype
     red, green, blue = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
     coded = (p[row_phase:, column_phase:] for p in (red, green, blue))
-    return _stacked(coded, levels, image.dtype)
+    return _stacked(coded, image)
 
 
 def _levels(image: jax.Array) -> Planes:
-    """The planes in 8 bits, in a type that holds the sums: float16 does not."""
+    """The planes in 8 bits, 0 for NaN, in a type that holds the sums: float16 does not."""
     exact = jnp.promote_types(image.dtype, jnp.float32)
-    whole = tuple(round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in planes(image))
+    known = (jnp.where(jnp.isnan(p), 0, p) for p in planes(image))
+    whole = tuple(round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in known)
     return materialize(whole)  # or the gradient of all three would be computed for each
 
 
-def _stacked(coded: Iterable[jax.Array], levels: Planes, dtype: jnp.dtype) -> jax.Array:
-    """The image of the coded planes, with NaN where `levels`, which were coded, have one."""
-    red, green, blue = lax.stop_gradient(levels)
-    lost = 0 * (red + green + blue)  # by the coder: its integers would make some level of it
-    return jnp.stack([(p + lost).astype(dtype) / 255 for p in coded], axis=-1)
+def _stacked(coded: Iterable[jax.Array], image: jax.Array) -> jax.Array:
+    """The image of the coded planes, with NaN at the pixels of the image that have one."""
+    lost = jnp.isnan(image).any(-1)
+    return jnp.stack([jnp.where(lost, jnp.nan, p).astype(image.dtype) / 255 for p in coded], axis=-1)

@@ -120,7 +120,8 @@ def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
     high = jnp.maximum(jnp.maximum(red, green), blue)
     low = jnp.minimum(jnp.minimum(red, green), blue)
     saturation = jnp.clip((high - low) / jnp.maximum(high, _DARK), 0, 1)
-    by_hue = materialize(_by_hue(hue, (params.hue, params.saturation, params.lightness)))
+    tables = params.hue, params.saturation, params.lightness
+    by_hue = materialize(_by_hue(hue, tuple(t.astype(jnp.result_type(hue, t)) for t in tables)))
     turn, gain, lift = (saturation * amount for amount in by_hue)
     cos, sin = materialize(((1 + gain) * jnp.cos(turn), (1 + gain) * jnp.sin(turn)))
     chroma = safe_sqrt(cb * cb + cr * cr)

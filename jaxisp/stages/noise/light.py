@@ -1,5 +1,7 @@
 """Noise of light and readout: each pixel for itself."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -116,7 +118,7 @@ def _poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     """
     if mean.ndim > 2:
         # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
-        rows = materialize(mean.reshape(len(mean), -1))
+        rows = materialize(mean.reshape(len(mean), math.prod(mean.shape[1:])))
         return materialize(_poisson_excess(key, rows)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
     sign = jax.random.uniform(key, mean.shape, mean.dtype, minval=-1 + tiny, maxval=1)
