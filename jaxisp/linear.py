@@ -136,7 +136,6 @@ def fused_sum(x: jax.Array, axis: int) -> jax.Array:
     From 0.11 on, jaxlib leaves the sums that it recognises to a library on a CPU, which first stores all that
     is summed: 10 times slower where that is computed on the spot.
     """
-
     shape = x.shape
 
     def add(a: jax.Array, b: jax.Array) -> jax.Array:

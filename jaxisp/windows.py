@@ -41,7 +41,6 @@ def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") 
 
 def _extended(plane: jax.Array, width: tuple[tuple[int, int], ...], mode: Any) -> jax.Array:
     """`jnp.pad` with the rows looked up: joining them takes XLA's CPU code longer where they are short."""
-
     whole = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
 
     def looked_up(_: Any, x: jax.Array) -> jax.Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxisp.linear import fused_sum, inner_product, linear_call, pointwise, scaled
+from jaxisp.linear import fused_sum, inner_product, linear_call, mean, pointwise, scaled
 
 MATRIX = np.random.default_rng(0).standard_normal((4, 3))
 
@@ -80,6 +80,14 @@ def test_fused_sum(axis, rng, x64):
     np.testing.assert_allclose(jax.jit(lambda v: fused_sum(v, axis))(x), x.sum(axis), rtol=1e-12)
     np.testing.assert_allclose(jax.vmap(lambda v: fused_sum(v, axis))(x[None])[0], x.sum(axis), rtol=1e-12)
     check_grads(lambda v: fused_sum(v**3, axis), (x,), order=2, modes=["fwd", "rev"])
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_the_mean_of_more_than_its_type_can_count(dtype, rng):
+    x = rng.random((300, 300)).astype(dtype)
+    got = mean(jnp.asarray(x))
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, x.mean(dtype=float), rtol=2e-3 if dtype == np.float16 else 1e-5)
 
 
 def test_pointwise_has_the_gradients_of_the_plain_form(rng, x64):

@@ -1,13 +1,15 @@
 """The tone curve against SciPy's splines, local tone mapping against its formula with SciPy's Gaussian."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.pipeline import run, stage
-from jaxisp.stages.look import LocalToneMapping, SplineCurve
+from jaxisp.stages.look import SECTORS, LocalToneMapping, SelectiveColor, SplineCurve, _by_hue
 from tests.conftest import smooth_image
 
 LUMA = np.array([0.299, 0.587, 0.114])
@@ -84,3 +86,18 @@ def test_the_tone_curve_is_scipy_s_spline_and_so_is_its_gradient(count):
     np.testing.assert_allclose(
         (slope / weights)[0, within, 0], wanted[within], rtol=1e-4, atol=1e-4 * (count - 1)
     )
+
+
+def test_tables_by_hue_have_the_slopes_of_finite_differences(rng, x64):
+    """Hues a little inside of their sectors, the first and the last of the circle among them."""
+    middles = 2 * np.pi / SECTORS * (np.arange(-SECTORS // 2, SECTORS // 2) + 0.4)
+    hue = jnp.asarray(np.tile(middles, (2, 1)))
+    tables = tuple(jnp.asarray(t) for t in rng.standard_normal((3, SECTORS)))
+    check_grads(jax.jit(_by_hue), (hue, tables), order=2, modes=["fwd", "rev"], rtol=1e-5)
+
+
+def test_tables_in_single_precision_beside_a_picture_in_double(x64):
+    node, image = stage("selective_color"), smooth_image((6, 8, 3)).astype(float)
+    tables = jax.tree.map(jnp.float32, SelectiveColor())
+    slopes = jax.grad(lambda p: jnp.sum(run(node, {node.name: p}, image) ** 2))(tables)
+    assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(slopes))
