@@ -6,6 +6,7 @@ transform along columns, which needs more, is int32.
 
 import functools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -92,14 +93,31 @@ def _rows_inverse(blocks: jax.Array) -> jax.Array:
 
 def _product(blocks: jax.Array, matrix: np.ndarray) -> jax.Array:
     """Each run of 8 along the last axis times an (8, 8) matrix, in full precision also on a GPU."""
+
+    def product(runs: jax.Array) -> jax.Array:
+        return jnp.dot(runs, matrix.astype(runs.dtype), precision=lax.Precision.HIGHEST)
+
     runs = blocks.reshape(-1, 8)
-    return jnp.dot(runs, matrix.astype(runs.dtype), precision=lax.Precision.HIGHEST).reshape(blocks.shape)
+    return lax.platform_dependent(runs, cpu=product, default=partial(_summed, matrix.T, 1)).reshape(
+        blocks.shape
+    )
+
+
+def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
+    """A matrix times an axis of 8, as a sum: off a CPU it becomes one kernel with what is around it."""
+    weights = matrix.T.astype(x.dtype).reshape(8, 8, *[1] * (x.ndim - 1 - axis))
+    return lax.reduce(jnp.expand_dims(x, axis + 1) * weights, np.zeros((), x.dtype), lax.add, (axis,))
 
 
 def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int) -> jax.Array:
     """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded."""
-    lines = fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)])
-    return lax.optimization_barrier(jnp.stack([(v + (1 << (bits - 1))) >> bits for v in lines], 1))
+
+    def line_by_line(blocks: jax.Array) -> jax.Array:
+        return jnp.stack(fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)]), 1)
+
+    matrix = np.stack(fn(list(np.eye(8, dtype=int))))
+    lines = lax.platform_dependent(blocks, cpu=line_by_line, default=partial(_summed, matrix, 1))
+    return lax.optimization_barrier((lines + (1 << (bits - 1))) >> bits)
 
 
 def _by_block(blocks: jax.Array) -> jax.Array:
@@ -143,7 +161,8 @@ def _through_blocks_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Arr
     t = scaled / (8 * table[:, :, None])
     slope = level - t * (128 / 35) * _sine(t) ** 8
     basis = _basis().astype(blocks.dtype)
-    change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, d_table[:, :, None] * slope)
+    moved = d_table[:, :, None] * slope
+    change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
     return _dequantize(level, table), d_blocks + change.reshape(blocks.shape)
 
 

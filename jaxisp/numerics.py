@@ -12,22 +12,37 @@ from jax.custom_derivatives import SymbolicZero
 
 
 def materialize(x: Any) -> Any:
-    """Make the CPU backend store `x` before it goes on; the identity elsewhere and to gradients.
+    """Make XLA store `x` before it goes on; the identity to gradients.
 
-    Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
-    `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
+    Fused across stencils, XLA's code computes one anew for every tap of the next, and on a GPU splits what is
+    too large for one kernel where it has to store most. The CPU backend drops a plain `optimization_barrier`
+    between fusions; a branch on an opaque predicate survives, also under vmap.
     """
+    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
 
-    def store(value: Any) -> Any:
-        # the branches hold a barrier because JAX removes a cond whose branches return what they were given
-        return lax.cond(_barrier(True), _barrier, _barrier, value)
 
-    return lax.platform_dependent(x, cpu=store, default=lambda v: v)
+def materialize_on_cpu(x: Any) -> Any:
+    """`materialize` on a CPU, the identity elsewhere: a GPU's code is as fast without, and moves less."""
+    return lax.platform_dependent(x, cpu=_branch, default=lambda v: v)
+
+
+def materialize_off_cpu(x: Any) -> Any:
+    """`materialize`, but for a CPU: where only a GPU's kernels would become too large."""
+    return lax.platform_dependent(x, cpu=lambda v: v, default=_barrier)
+
+
+def _branch(value: Any) -> Any:
+    # the branches hold a barrier because JAX removes a cond whose branches return what they were given
+    return lax.cond(_barrier(True), _barrier, _barrier, value)
 
 
 def _barrier(tree: Any) -> Any:
     """A barrier for each array: jax 0.12 cannot transpose one of several arrays of which only some move."""
     return jax.tree.map(lax.optimization_barrier, tree)
+
+
+def _barrier_on_cpu(tree: Any) -> Any:
+    return lax.platform_dependent(tree, cpu=_barrier, default=lambda v: v)
 
 
 def on_all_cores(index: jax.Array) -> jax.Array:
@@ -153,4 +168,5 @@ def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
     if len(shape) < 3:
         return fn(*images)
     # barriers, or XLA would move the reshapes out of the way
-    return _barrier(fn(*_barrier([x.reshape(shape[0], -1) for x in images]))).reshape(shape)
+    rows = _barrier_on_cpu([x.reshape(shape[0], -1) for x in images])
+    return _barrier_on_cpu(fn(*rows)).reshape(shape)

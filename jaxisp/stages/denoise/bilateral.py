@@ -14,7 +14,7 @@ from jaxisp import numerics
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import materialize, nearest_int
+from jaxisp.numerics import materialize, materialize_off_cpu, nearest_int
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
@@ -24,8 +24,9 @@ from jaxisp.windows import views
 
 Planes = tuple[jax.Array, ...]
 
-_FORWARD_TAPS = 80  # a fused kernel: more is slower to compile and, on a CPU, to run
-_BACKWARD_TAPS = 40
+_FORWARD_TAPS = 80, 40
+_BACKWARD_TAPS = 40, 20
+"""Of a fused kernel, on a CPU and elsewhere: more is slower to compile and to run."""
 _EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0096760319183, 0.0013390863364)
 """2**x on [-0.5, 0.5], interpolated at Chebyshev nodes, lowest power first."""
 
@@ -237,7 +238,8 @@ def _collected(
     zero = jnp.zeros_like(guide)
     near = (guide, *planes, *mirrored, shared)
     *by_plane, d_guide, d_space = _over_disc(terms, (*mirrored, zero, zero), near, radius, _BACKWARD_TAPS)
-    return tuple(share * t for t in by_plane), d_guide, d_space @ jnp.ones(d_space.shape[1], d_space.dtype)
+    by_rows = jnp.matmul(d_space, jnp.ones(d_space.shape[1], d_space.dtype), precision=lax.Precision.HIGHEST)
+    return tuple(share * t for t in by_plane), d_guide, by_rows
 
 
 def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tuple[jax.Array, jax.Array]]:
@@ -277,7 +279,7 @@ def _exp2_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _over_disc(
-    terms: Callable[[Planes, int], Planes], start: Planes, near: Planes, radius: int, group: int
+    terms: Callable[[Planes, int], Planes], start: Planes, near: Planes, radius: int, most: tuple[int, int]
 ) -> Planes:
     """Add `terms(moved planes, squared distance)` to `start` over a disc without its centre.
 
@@ -289,13 +291,13 @@ def _over_disc(
     taps = [(dy, dx) for dy in span for dx in span if 0 < dy * dy + dx * dx <= radius * radius]
     padded = tuple(reflect(x, radius) for x in near)
     total = _paired(start)
-    for first in range(0, len(taps), group):
-        if first:
+    for i, ((dy, dx), moved) in enumerate(zip(taps, zip(*(views(x, taps, radius) for x in padded)))):
+        if i and not i % most[0]:
             total = materialize(total)
-        some = taps[first : first + group]
-        for (dy, dx), moved in zip(some, zip(*(views(x, some, radius) for x in padded))):
-            more = _paired(terms(moved, dy * dy + dx * dx))
-            total = tuple(t + m for t, m in zip(total, more))
+        elif i and not i % most[1]:
+            total = materialize_off_cpu(total)
+        more = _paired(terms(moved, dy * dy + dx * dx))
+        total = tuple(t + m for t, m in zip(total, more))
     return _parted(materialize(total), len(start))
 
 

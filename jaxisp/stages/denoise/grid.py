@@ -11,15 +11,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import fused_sum, linear_call, scaled
-from jaxisp.numerics import materialize
+from jaxisp.numerics import materialize, materialize_off_cpu
 
 Planes = tuple[jax.Array, ...]
 
 _MOST_TERMS = 32  # in one fused kernel
 _UNROLLED = 8  # terms of a sum along an axis: more become a loop, which is 5 times slower
+_times = partial(jnp.matmul, precision=lax.Precision.HIGHEST)  # a GPU would round to 10 bits
 _FINEST = 4.0  # bins to a sigma_range; more would not be more exact
 
 
@@ -84,7 +86,7 @@ def _from_phases(phases: jax.Array, cell: int, height: int, width: int) -> jax.A
 def _blurred(grid: jax.Array, shape: tuple[int, ...], cell: int, by_space: Any, by_range: Any) -> jax.Array:
     """Blur (bins, planes, L) along all three axes; the result has a border of one cell, at the bottom two."""
     rows, columns = (-(-n // cell) for n in shape)
-    along_bins = _gaussian(len(grid), by_range) @ grid.reshape(len(grid), -1)
+    along_bins = _times(_gaussian(len(grid), by_range), grid.reshape(len(grid), -1))
     blurred = _blurred_in_space(along_bins.reshape(*grid.shape[:2], rows, columns + 2), by_space)
     return blurred.reshape(*grid.shape[:2], -1)
 
@@ -96,7 +98,7 @@ def _blurred_in_space(grid: jax.Array, variance: jax.Array) -> jax.Array:
     down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
     across = jnp.pad(_mirrored_gaussian(width - 2, variance), ((1, 1), (0, 0)), "edge")
     across = jnp.pad(across, ((0, 0), (0, 2)))  # what the two columns more hold is dropped
-    grid = (grid.reshape(-1, width) @ across.T).reshape(bins * count, rows, width)
+    grid = _times(grid.reshape(-1, width), across.T).reshape(bins * count, rows, width)
     return _product(down, grid).reshape(bins, count, -1, width)
 
 
@@ -120,7 +122,7 @@ def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
     """
 
     def each(m: jax.Array, g: jax.Array) -> jax.Array:
-        return jnp.broadcast_to(m, (len(g), *m.shape)) @ g
+        return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
 
     return linear_call(each, lambda m, c: each(materialize(m.T), c), matrix, grid)
 
@@ -131,7 +133,7 @@ def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
     cosines = np.sqrt((2 - (k == 0)) / n)[:, None] * np.cos(np.pi / n * np.outer(k, k + 0.5))
     decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
     basis = jnp.asarray(cosines, variance.dtype)
-    return (basis.T * decay) @ basis
+    return _times(basis.T * decay, basis)
 
 
 def _gaussian(n: int, variance: jax.Array) -> jax.Array:
@@ -140,7 +142,7 @@ def _gaussian(n: int, variance: jax.Array) -> jax.Array:
     share = np.where(k % n == 0, 1, 2) / (2 * n)
     lags = np.cos(np.pi / n * np.outer(k[:n], k)) * share
     decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    return (jnp.asarray(lags, variance.dtype) @ decay)[np.abs(k[:n, None] - k[:n])]
+    return _times(jnp.asarray(lags, variance.dtype), decay)[np.abs(k[:n, None] - k[:n])]
 
 
 # Splatting and slicing are linear in what they carry, and their slope to u is the same with the tent's
@@ -183,17 +185,56 @@ _splat.defjvp(_splat_jvp, symbolic_zeros=True)
 
 
 def _collect(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Array:
-    z = jnp.arange(bins, dtype=u.dtype)[:, None, None, None]
-    return _sum(
-        [fused_sum(_tent(u[some] - z, slope) * values[:, some], 2) for some in _groups(len(u))], _UNROLLED
-    )
+    def over(some: slice, u: jax.Array, values: jax.Array) -> jax.Array:
+        z = jnp.arange(bins, dtype=u.dtype)[:, None, None, None]
+        return fused_sum(_tent(u[some] - z, slope) * values[:, some], 2)
+
+    def in_groups(u: jax.Array, values: jax.Array) -> jax.Array:
+        return _sum([over(some, u, values) for some in _groups(len(u))], _UNROLLED)
+
+    return lax.platform_dependent(u, values, cpu=in_groups, default=partial(over, slice(None)))
 
 
 def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
     """The transpose of `_collect`."""
-    z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
-    terms = [fused_sum(_tent(u - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
-    return _sum(terms, _UNROLLED)
+
+    def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
+        z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
+        terms = [fused_sum(_tent(u - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
+        return _sum(terms, _UNROLLED)
+
+    def looked_up(u: jax.Array, grid: jax.Array) -> jax.Array:
+        here = np.zeros(len(u), np.int32), np.ones(len(u))
+        return _looked_up(u, grid, [here], slope)
+
+    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up)
+
+
+def _looked_up(
+    u: jax.Array, grid: jax.Array, cells: list[tuple[np.ndarray, np.ndarray]], slope: bool
+) -> jax.Array:
+    """(planes, phases, L): the grid between the two bins around u, summed over cells around a pixel's own.
+
+    One kernel that reads what it needs: a GPU gathers as fast as it reads; a CPU takes many times longer.
+
+    Args:
+        cells: for each phase how much farther in the grid the cell is, and its weight.
+    """
+    bins, count, length = grid.shape
+    lower = jnp.clip(jnp.floor(u), 0, bins - 2)
+    above = u - lower
+    offsets, weights = (np.stack(k)[:, None, :, None] for k in zip(*cells))
+    planes = np.arange(count, dtype=np.int32)[:, None, None] * length
+    own = lower.astype(jnp.int32) * (count * length) + np.arange(u.shape[1], dtype=np.int32)
+
+    def bin_(up: int) -> jax.Array:
+        near = jnp.take(grid.reshape(-1), own + (offsets + planes + up * count * length), mode="clip")
+        return near * weights.astype(u.dtype)
+
+    low, high = bin_(0), bin_(1)
+    # a tent's slope is 0 at its ends and its top
+    between = jnp.where((above > 0) & (above < 1), high - low, 0) if slope else low + above * (high - low)
+    return fused_sum(between, 0)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
@@ -215,7 +256,8 @@ def _sliced_jvp(cell: int, stride: int, primals: Any, tangents: Any) -> tuple[ja
             grid_change,
         )
     if not isinstance(u_change, SymbolicZero):
-        change += u_change * materialize(_interpolated(u, grid, cell, stride, True))
+        # apart, or XLA would store what both look up
+        change += u_change * materialize(_interpolated(materialize_off_cpu(u), grid, cell, stride, True))
     return y, change
 
 
@@ -242,17 +284,32 @@ def _corners(cell: int, stride: int) -> list[list[tuple[int, np.ndarray]]]:
 
 
 def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: bool) -> jax.Array:
-    length, dtype = u.shape[1], u.dtype
-    z = jnp.arange(len(grid), dtype=dtype)[:, None, None, None]
-    parts = []
-    for own, corners in zip(jnp.split(u, 4), _corners(cell, stride)):
-        weighed = [(offset, jnp.asarray(w[:, None], dtype)) for offset, w in corners]
-        terms = []
-        for some in _groups(len(grid)):
-            near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
-            terms.append(fused_sum(_tent(own - z[some], slope) * near, 0))
-        parts.append(materialize(_sum(terms, _UNROLLED)))
-    return jnp.concatenate(parts, axis=1)
+    quadrants = _corners(cell, stride)
+
+    def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
+        length, dtype = u.shape[1], u.dtype
+        z = jnp.arange(len(grid), dtype=dtype)[:, None, None, None]
+        parts = []
+        for own, corners in zip(jnp.split(u, 4), quadrants):
+            weighed = [(offset, jnp.asarray(w[:, None], dtype)) for offset, w in corners]
+            terms = []
+            for some in _groups(len(grid)):
+                near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
+                terms.append(fused_sum(_tent(own - z[some], slope) * near, 0))
+            parts.append(materialize(_sum(terms, _UNROLLED)))
+        return jnp.concatenate(parts, axis=1)
+
+    def looked_up(u: jax.Array, grid: jax.Array) -> jax.Array:
+        cells = [
+            (
+                np.repeat(np.int32([offset for offset, _ in k]), cell * cell // 4),
+                np.concatenate([w for _, w in k]),
+            )
+            for k in zip(*quadrants)
+        ]
+        return _looked_up(u, grid, cells, slope)
+
+    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up)
 
 
 def _spread(u: jax.Array, cotangent: jax.Array, shape: tuple[int, ...], cell: int, stride: int) -> jax.Array:
