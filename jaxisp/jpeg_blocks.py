@@ -112,12 +112,17 @@ def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
 def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int) -> jax.Array:
     """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded."""
 
-    def line_by_line(blocks: jax.Array) -> jax.Array:
-        return jnp.stack(fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)]), 1)
+    def rounded(x: jax.Array) -> jax.Array:
+        return (x + (1 << (bits - 1))) >> bits
 
-    matrix = np.stack(fn(list(np.eye(8, dtype=int))))
-    lines = lax.platform_dependent(blocks, cpu=line_by_line, default=partial(_summed, matrix, 1))
-    return lax.optimization_barrier((lines + (1 << (bits - 1))) >> bits)
+    def line_by_line(blocks: jax.Array) -> jax.Array:
+        lines = fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)])
+        return jnp.stack([rounded(line) for line in lines], 1)
+
+    def at_once(blocks: jax.Array) -> jax.Array:
+        return rounded(_summed(np.stack(fn(list(np.eye(8, dtype=int)))), 1, blocks))
+
+    return lax.optimization_barrier(lax.platform_dependent(blocks, cpu=line_by_line, default=at_once))
 
 
 def _by_block(blocks: jax.Array) -> jax.Array:

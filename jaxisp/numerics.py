@@ -12,23 +12,26 @@ from jax.custom_derivatives import SymbolicZero
 
 
 def materialize(x: Any) -> Any:
-    """Make XLA store `x` before it goes on; the identity to gradients.
+    """Make the CPU backend store `x` before it goes on; the identity elsewhere and to gradients.
 
-    Fused across stencils, XLA's code computes one anew for every tap of the next, and on a GPU splits what is
-    too large for one kernel where it has to store most. The CPU backend drops a plain `optimization_barrier`
-    between fusions; a branch on an opaque predicate survives, also under vmap.
+    Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
+    `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
     """
-    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
-
-
-def materialize_on_cpu(x: Any) -> Any:
-    """`materialize` on a CPU, the identity elsewhere: a GPU's code is as fast without, and moves less."""
     return lax.platform_dependent(x, cpu=_branch, default=lambda v: v)
 
 
-def materialize_off_cpu(x: Any) -> Any:
-    """`materialize`, but for a CPU: where only a GPU's kernels would become too large."""
+def store_off_cpu(x: Any) -> Any:
+    """Make every other backend store `x`, where a barrier does.
+
+    XLA's GPU code splits a stencil that is too large for one kernel at a place of its own, and stores every
+    tap there; and it too computes one stencil anew for the taps of the next.
+    """
     return lax.platform_dependent(x, cpu=lambda v: v, default=_barrier)
+
+
+def store(x: Any) -> Any:
+    """Make every backend store `x`: `materialize` on a CPU, `store_off_cpu` elsewhere."""
+    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
 
 
 def _branch(value: Any) -> Any:

@@ -17,7 +17,7 @@ from jax import lax
 from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.groups import group_size, in_groups
 from jaxisp.node import Node, Params, Stage, stage
-from jaxisp.numerics import materialize_on_cpu
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.registry import REGISTRY, Signature, register, sections, signature
 from jaxisp.selfcheck import check_backend
@@ -216,8 +216,8 @@ def _in_turn(
 
 
 def _stored(image: jax.Array) -> jax.Array:
-    """`materialize_on_cpu`, as rows of interleaved pixels: a last axis of 3 would not be vectorised over."""
-    return materialize_on_cpu(image.reshape(len(image), -1)).reshape(image.shape)
+    """`materialize`, as rows of interleaved pixels: a last axis of 3 would not be vectorised over."""
+    return materialize(image.reshape(len(image), -1)).reshape(image.shape)
 
 
 def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:

@@ -15,7 +15,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import inner_product, linear_call, total
-from jaxisp.numerics import materialize, safe_divide
+from jaxisp.numerics import safe_divide, store
 
 _NARROW = 256  # px: the rows of wider frames are joined as fast as they are looked up
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
@@ -82,7 +82,7 @@ def filter_rows_columns(
     Gradient: exact, to the image and to the taps.
     """
     taps_y, taps_x = (jnp.asarray(taps, image.dtype) for taps in (taps_y, taps_x))
-    return _filter(materialize(_filter(image, taps_x, 1, mode)), taps_y, 0, mode)
+    return _filter(store(_filter(image, taps_x, 1, mode)), taps_y, 0, mode)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
@@ -121,7 +121,7 @@ def _spread(cotangent: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.
     """The transpose of `_filter`: the flipped taps over a wider frame, then its border folded back."""
     r = taps.shape[0] // 2
     wide = _weighted(_padded(cotangent, 2 * r, axis, "constant"), taps[::-1], axis)
-    return jax.linear_transpose(lambda x: _padded(x, r, axis, mode), cotangent)(materialize(wide))[0]
+    return jax.linear_transpose(lambda x: _padded(x, r, axis, mode), cotangent)(store(wide))[0]
 
 
 def _products(padded: jax.Array, cotangent: jax.Array, axis: int) -> jax.Array:
@@ -153,7 +153,7 @@ def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
     parts = [reduce(lax.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
     shape = list(padded.shape)
     shape[axis] -= count - 1
-    return reduce(lambda total, part: materialize(total) + part, parts).reshape(shape)
+    return reduce(lambda total, part: store(total) + part, parts).reshape(shape)
 
 
 def gaussian_taps(sigma: Any, radius: int) -> jax.Array:
@@ -188,7 +188,7 @@ def _gaussian_jvp(radius: int, primals: Any, tangents: Any) -> tuple[jax.Array, 
     image, sigma = primals
     taps, slope = jax.jvp(lambda s: gaussian_taps(s, radius), (sigma,), (jnp.ones_like(sigma),))
     # along the rows first: that filter takes twice as long as along the columns, and is needed less often so
-    rows = materialize(_filter(image, taps, 1, "reflect"))
+    rows = store(_filter(image, taps, 1, "reflect"))
     y = _filter(rows, taps, 0, "reflect")
     return y, linear_call(_gaussian_tangent, _gaussian_cotangent, (image, rows, taps, slope), tangents)
 
@@ -196,15 +196,15 @@ def _gaussian_jvp(radius: int, primals: Any, tangents: Any) -> tuple[jax.Array, 
 def _gaussian_tangent(saved: Any, change: Any) -> jax.Array:
     (image, rows, taps, slope), (d_image, d_sigma) = saved, change
     across = _filter(d_image, taps, 1, "reflect") + d_sigma * _filter(image, slope, 1, "reflect")
-    return _filter(materialize(across), taps, 0, "reflect") + d_sigma * _filter(rows, slope, 0, "reflect")
+    return _filter(store(across), taps, 0, "reflect") + d_sigma * _filter(rows, slope, 0, "reflect")
 
 
 def _gaussian_cotangent(saved: Any, cotangent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The transpose of `_gaussian_tangent`: as the taps are symmetric, the same filters, edges weighted."""
     image, rows, taps, slope = saved
-    back = materialize(_symmetric_transpose(cotangent, taps, 0))
+    back = store(_symmetric_transpose(cotangent, taps, 0))
     by_rows, by_columns = _filter(rows, slope, 0, "reflect"), _filter(image, slope, 1, "reflect")
-    by_sigma = materialize(cotangent * by_rows) + back * by_columns
+    by_sigma = store(cotangent * by_rows) + back * by_columns
     return _symmetric_transpose(back, taps, 1), total(by_sigma)
 
 

@@ -154,7 +154,8 @@ def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
     if mean is None:
         return np.clip(np.asarray(oetf.fn(light)), 0, 1)
     shared = mean.model.moved(mean.z).shared
-    linear = mean.pairs.light @ jnp.asarray(shared["color_matrix"].matrix, jnp.float32).T
+    matrix = jnp.asarray(shared["color_matrix"].matrix, jnp.float32)
+    linear = jnp.matmul(mean.pairs.light, matrix.T, precision="highest")
     encoded = jax.vmap(lambda x: curve.fn(shared["tone_curve"], oetf.fn(x)))(linear)
     return np.clip(np.asarray(encoded), 0, 1)
 

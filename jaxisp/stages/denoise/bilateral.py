@@ -14,7 +14,7 @@ from jaxisp import numerics
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import materialize, materialize_off_cpu, nearest_int
+from jaxisp.numerics import nearest_int, store, store_off_cpu
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.filters import edge_counts, reflect
@@ -220,7 +220,7 @@ def _collected(
 ) -> tuple[Planes, jax.Array, jax.Array]:
     """What planes and guide get, and by rows what sigma_space does; both sigmas' own factors are left out."""
     # stored anew, or XLA would share the forward pass's weights by storing one plane for each tap
-    planes, guide, out, norm, cotangent, counts = materialize(frame)
+    planes, guide, out, norm, cotangent, counts = store(frame)
     weight, n = _weight(sigma_space, sigma_range), len(planes)
     given = tuple(c / norm for c in cotangent)
     mirrored = tuple(counts * c for c in given)
@@ -293,12 +293,12 @@ def _over_disc(
     total = _paired(start)
     for i, ((dy, dx), moved) in enumerate(zip(taps, zip(*(views(x, taps, radius) for x in padded)))):
         if i and not i % most[0]:
-            total = materialize(total)
+            total = store(total)
         elif i and not i % most[1]:
-            total = materialize_off_cpu(total)
+            total = store_off_cpu(total)
         more = _paired(terms(moved, dy * dy + dx * dx))
         total = tuple(t + m for t, m in zip(total, more))
-    return _parted(materialize(total), len(start))
+    return _parted(store(total), len(start))
 
 
 def _paired(planes: Planes) -> Planes:

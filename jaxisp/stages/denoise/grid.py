@@ -15,7 +15,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import fused_sum, linear_call, scaled
-from jaxisp.numerics import materialize, materialize_off_cpu
+from jaxisp.numerics import store, store_off_cpu
 
 Planes = tuple[jax.Array, ...]
 
@@ -53,13 +53,13 @@ def grid_planes(
     low, high = guide.min(), guide.max()
     step = jnp.maximum((high - low) / (bins - 1), sigma_range / _FINEST)
     u, *v = (_to_phases(x, cell) for x in ((guide - low) / step, *planes))
-    u, values = materialize((u, jnp.stack([jnp.ones_like(u), *v])))
+    u, values = store((u, jnp.stack([jnp.ones_like(u), *v])))
     # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
     by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
     by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
     # stored as it is: with the shape that the blur wants it would be 8 times slower
-    grid = materialize(_splat(u, values, bins))
-    grid = materialize(_blurred(grid, guide.shape, cell, by_space, by_range))
+    grid = store(_splat(u, values, bins))
+    grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
     weight, *sums = _sliced(u, grid, cell, -(-width // cell) + 2)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
 
@@ -112,7 +112,7 @@ def _blurred_in_space_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
     vertical, horizontal = y[..., :-3, 1:-1] + y[..., 2:-1, 1:-1], y[..., 1:-2, :-2] + y[..., 1:-2, 2:]
     slope = 0.5 * (vertical + horizontal) - 2 * inner
     bordered = jnp.pad(slope, ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
-    return y, change + scaled(d_variance, materialize(bordered))
+    return y, change + scaled(d_variance, store(bordered))
 
 
 def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
@@ -124,7 +124,7 @@ def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
     def each(m: jax.Array, g: jax.Array) -> jax.Array:
         return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
 
-    return linear_call(each, lambda m, c: each(materialize(m.T), c), matrix, grid)
+    return linear_call(each, lambda m, c: each(store(m.T), c), matrix, grid)
 
 
 def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
@@ -174,7 +174,7 @@ def _splat_jvp(bins: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
     if not isinstance(u_change, SymbolicZero):
         change += linear_call(
             lambda r, c: _collect(r[0], r[1] * c, bins, True),
-            lambda r, g: jnp.sum(r[1] * materialize(_distribute(r[0], g, True)), axis=0),
+            lambda r, g: jnp.sum(r[1] * store(_distribute(r[0], g, True)), axis=0),
             (u, values),
             u_change,
         )
@@ -257,7 +257,7 @@ def _sliced_jvp(cell: int, stride: int, primals: Any, tangents: Any) -> tuple[ja
         )
     if not isinstance(u_change, SymbolicZero):
         # apart, or XLA would store what both look up
-        change += u_change * materialize(_interpolated(materialize_off_cpu(u), grid, cell, stride, True))
+        change += u_change * store(_interpolated(store_off_cpu(u), grid, cell, stride, True))
     return y, change
 
 
@@ -296,17 +296,15 @@ def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: 
             for some in _groups(len(grid)):
                 near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
                 terms.append(fused_sum(_tent(own - z[some], slope) * near, 0))
-            parts.append(materialize(_sum(terms, _UNROLLED)))
+            parts.append(store(_sum(terms, _UNROLLED)))
         return jnp.concatenate(parts, axis=1)
 
     def looked_up(u: jax.Array, grid: jax.Array) -> jax.Array:
-        cells = [
-            (
-                np.repeat(np.int32([offset for offset, _ in k]), cell * cell // 4),
-                np.concatenate([w for _, w in k]),
-            )
-            for k in zip(*quadrants)
-        ]
+        cells = []
+        for corner in zip(*quadrants):
+            offsets, weights = zip(*corner)
+            by_phase = np.repeat(np.array(offsets, np.int32), cell * cell // 4)
+            cells.append((by_phase, np.concatenate(weights)))
         return _looked_up(u, grid, cells, slope)
 
     return lax.platform_dependent(u, grid, cpu=dense, default=looked_up)
@@ -317,12 +315,12 @@ def _spread(u: jax.Array, cotangent: jax.Array, shape: tuple[int, ...], cell: in
     bins, _, length = shape
     half, shares = cell // 2, _shares(cell)
     sides = ((2, length - u.shape[1]),)
-    wide_u, wide = materialize((jnp.pad(u, ((0, 0), *sides)), jnp.pad(cotangent, ((0, 0), (0, 0), *sides))))
+    wide_u, wide = store((jnp.pad(u, ((0, 0), *sides)), jnp.pad(cotangent, ((0, 0), (0, 0), *sides))))
     z = jnp.arange(bins, dtype=u.dtype)[:, None, None]
     terms = []
     for first_y in range(2):
         for y in range(half):
-            row = materialize(_sum(_row_terms(wide_u, wide, z, (first_y * cell + y) * half, length, cell), 1))
+            row = store(_sum(_row_terms(wide_u, wide, z, (first_y * cell + y) * half, length, cell), 1))
             row = jnp.pad(row, ((0, 0), (0, 0), (2 * stride, 0)))
             for a in range(2):
                 begin = (2 - first_y - a) * stride
@@ -353,5 +351,5 @@ def _sum(terms: list[jax.Array], each: int) -> jax.Array:
     """The sum, in kernels of a bearable size; a term stands for `each`."""
     total = terms[0]
     for i, term in enumerate(terms[1:], 1):
-        total = (total if i % (_MOST_TERMS // each) else materialize(total)) + term
+        total = (total if i % (_MOST_TERMS // each) else store(total)) + term
     return total
