@@ -80,10 +80,23 @@ def exposure_for_highlights(raw: Raw) -> float:
     gains = np.ones(3) if raw.white_balanced else raw.white_balance
     mosaic = shaded_mosaic(raw)
     brightest = max(
-        gains["RGB".index(color)] * np.percentile(mosaic[i // 2 :: 2, i % 2 :: 2], 99)
+        gains["RGB".index(color)] * high_percentile(mosaic[i // 2 :: 2, i % 2 :: 2], 99)
         for i, color in enumerate(raw.cfa)
     )
     return float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5))
+
+
+def high_percentile(plane: np.ndarray, percent: float) -> float:
+    """`np.percentile` of a large (H, W) plane, in a third of the time for a percentile near 100."""
+    # whatever is below the percentile before it, among some of the pixels, need not be sorted
+    high = plane[plane >= np.percentile(plane[::9, ::7], percent - 1)]
+    place = percent / 100 * (plane.size - 1) - (plane.size - high.size)
+    if place < 0:
+        return float(np.percentile(plane, percent))
+    low, part = int(place), place - int(place)
+    ranks = low, min(low + 1, high.size - 1)
+    below, above = np.partition(high, ranks)[list(ranks)]
+    return float(below + part * (above - below))
 
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:

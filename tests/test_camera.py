@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from jaxisp.camera import develop, params_for, shaded_mosaic, standard_camera, with_cfa
+from jaxisp.camera import develop, high_percentile, params_for, shaded_mosaic, standard_camera, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.io import read_raw
 from jaxisp.pipeline import Chain, Gate, Shuffle, run, stage
@@ -115,3 +115,18 @@ def test_a_camera_goes_to_toml_and_back(raw, tmp_path):
     back = Recipe.load(tmp_path / "c.toml")
     assert back == camera
     np.testing.assert_array_equal(develop(raw, back), develop(raw, camera))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (40, 70), (301, 203)])
+@pytest.mark.parametrize("draw", ["gamma", "few levels", "one level", "brightest where nobody looks"])
+def test_high_percentile_is_numpys(shape, draw):
+    rng = np.random.default_rng(0)
+    plane = rng.gamma(2, 0.1, shape).astype(np.float32)
+    if draw == "few levels":
+        plane = np.round(5 * plane) / 5
+    elif draw == "one level":
+        plane[:] = 0.25
+    elif draw == "brightest where nobody looks":  # the sample is of the brightest pixels alone
+        plane[::9, ::7] = 9
+    want = np.percentile(plane.astype(np.float64), 99)
+    assert high_percentile(plane, 99) == pytest.approx(want, rel=1e-5)
