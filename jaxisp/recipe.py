@@ -92,9 +92,7 @@ class Recipe:
                 pixels; or there is no such index.
         """
         check_backend()
-        key, images, start = self._taken(key, images, start)
-        noisy, params = _degrade(self, key, images, start)
-        return noisy, images, params
+        return _degrade(self, *self._taken(key, images, start))
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
@@ -223,12 +221,11 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _degrade(
-    recipe: Recipe, key: jax.Array, images: jax.Array, start: Any
-) -> tuple[jax.Array, dict[str, Any]]:
+def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
     drawing, _ = _keys(key, start, len(images))
     params = jax.vmap(recipe.draw)(drawing)
-    return _repeat(recipe, key, params, images, start), params
+    # the images leave as a copy: what was given may be overwritten or donated
+    return _repeat(recipe, key, params, images, start), images, params
 
 
 @functools.partial(jax.jit, static_argnums=0)

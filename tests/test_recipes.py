@@ -294,3 +294,18 @@ def test_a_recipe_without_noise_needs_no_noise():
     recipe = Recipe(Chain((stage("unsharp_mask"),), "plain"), {})
     noisy, _, _ = recipe.degrade(KEY, IMAGES)
     assert noisy.shape == IMAGES.shape
+
+
+def test_clean_pictures_are_the_callers_no_more():
+    """Neither a NumPy array that JAX would take as it lies in memory, nor an array on the device."""
+    room = np.empty(4 * 2 * 8 * 8 * 3 + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    given = room[start : start + 4 * 2 * 8 * 8 * 3].view(np.float32).reshape(2, 8, 8, 3)
+    given[:] = 0.5
+    key, recipe = jax.random.key(0), RECIPES["awgn"]()
+    clean = jax.block_until_ready(recipe.degrade(key, given))[1]
+    given[:] = 0.1
+    np.testing.assert_array_equal(clean, 0.5)
+    images = jnp.full((2, 8, 8, 3), 0.5)
+    recipe.degrade(key, images)[1].delete()
+    np.testing.assert_array_equal(images, 0.5)

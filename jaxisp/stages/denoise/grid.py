@@ -1,8 +1,8 @@
 """The bilateral grid: a joint bilateral filter whose cost does not grow with its width.
 
 Pixels are spread over a grid of square cells and of bins of the guide, the grid is blurred, and each
-pixel reads it back at its own place and guide value. Tents stand for the bins, so that all of it is
-dense: no gather, no scatter.
+pixel reads it back at its own place and guide value. Tents stand for the bins, so that on a CPU all of it
+is dense: no gather, no scatter. Elsewhere the grid is read by gathers.
 """
 
 from functools import partial
@@ -207,7 +207,12 @@ def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
         here = np.zeros(len(u), np.int32), np.ones(len(u))
         return _looked_up(u, grid, [here], slope)
 
-    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up)
+    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
+
+
+def _indexable(grid: jax.Array) -> bool:
+    """Whether int32 counts its entries, as a lookup does."""
+    return grid.size < 2**31
 
 
 def _looked_up(
@@ -307,7 +312,7 @@ def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: 
             cells.append((by_phase, np.concatenate(weights)))
         return _looked_up(u, grid, cells, slope)
 
-    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up)
+    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
 
 
 def _spread(u: jax.Array, cotangent: jax.Array, shape: tuple[int, ...], cell: int, stride: int) -> jax.Array:
