@@ -298,14 +298,15 @@ def test_a_recipe_without_noise_needs_no_noise():
 
 def test_clean_pictures_are_the_callers_no_more():
     """Neither a NumPy array that JAX would take as it lies in memory, nor an array on the device."""
-    room = np.empty(4 * 2 * 8 * 8 * 3 + 64, np.uint8)
-    start = -room.ctypes.data % 64
-    given = room[start : start + 4 * 2 * 8 * 8 * 3].view(np.float32).reshape(2, 8, 8, 3)
+    shape, recipe = (2, 8, 8, 3), RECIPES["awgn"]()
+    size = 4 * np.prod(shape)
+    room = np.empty(size + 64, np.uint8)
+    start = -room.ctypes.data % 64  # where JAX would not copy it
+    given = room[start : start + size].view(np.float32).reshape(shape)
     given[:] = 0.5
-    key, recipe = jax.random.key(0), RECIPES["awgn"]()
-    clean = jax.block_until_ready(recipe.degrade(key, given))[1]
+    clean = jax.block_until_ready(recipe.degrade(KEY, given))[1]
     given[:] = 0.1
     np.testing.assert_array_equal(clean, 0.5)
-    images = jnp.full((2, 8, 8, 3), 0.5)
-    recipe.degrade(key, images)[1].delete()
+    images = jnp.full(shape, 0.5)
+    recipe.degrade(KEY, images)[1].delete()
     np.testing.assert_array_equal(images, 0.5)

@@ -138,9 +138,10 @@ def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = Fa
         if legacy:
             return straight_through(jnp.floor(x * steps), x * steps) / steps
         top = steps - 1
-        y = round_through(x * top) / top
+        level = round_through(x * top)
+        y = level / top
         # white as it is: a GPU's quotients are an ulp or two off
-        return straight_through(jnp.where(jnp.round(x * top) == top, 1, y), y)
+        return straight_through(jnp.where(level == top, 1, y), y)
 
     return pointwise(quantized, (image,), steps)
 

@@ -80,10 +80,8 @@ def test_bilateral_filters(elsewhere, filtered, x64):
 
 def test_chain(elsewhere):
     recipe = RECIPES["phone-no-post"]()
-    keys, images = (
-        jax.random.split(jax.random.key(0)),
-        jnp.stack([picture((24, 30, 3), seed) for seed in range(2)]),
-    )
+    keys = jax.random.split(jax.random.key(0))
+    images = jnp.stack([picture((24, 30, 3), seed) for seed in range(2)])
     params = jax.vmap(recipe.draw)(keys)
     degraded = partial(over_batch, recipe.chain)  # not `run_batch`, which is traced once for both
     close(elsewhere(degraded, params, images, keys), jax.jit(degraded)(params, images, keys), 1e-5)

@@ -24,9 +24,8 @@ from jaxisp.windows import views
 
 Planes = tuple[jax.Array, ...]
 
-_FORWARD_TAPS = 80, 40
-_BACKWARD_TAPS = 40, 20
-"""Of a fused kernel, on a CPU and elsewhere: more is slower to compile and to run."""
+# taps of a fused kernel, on a CPU and elsewhere: more is slower to compile and to run
+_FORWARD_TAPS, _BACKWARD_TAPS = (80, 40), (40, 20)
 _EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0096760319183, 0.0013390863364)
 """2**x on [-0.5, 0.5], interpolated at Chebyshev nodes, lowest power first."""
 
@@ -284,17 +283,18 @@ def _over_disc(
     """Add `terms(moved planes, squared distance)` to `start` over a disc without its centre.
 
     The terms are traced once, and called: the compiler puts them in line. Tracing the gradient takes an
-    eighth of the time.
+    eighth of the time. `most` are the taps of a kernel, on a CPU and elsewhere.
     """
+    on_cpu, elsewhere = most
     terms = jax.jit(terms)
     span = range(-radius, radius + 1)
     taps = [(dy, dx) for dy in span for dx in span if 0 < dy * dy + dx * dx <= radius * radius]
     padded = tuple(reflect(x, radius) for x in near)
     total = _paired(start)
     for i, ((dy, dx), moved) in enumerate(zip(taps, zip(*(views(x, taps, radius) for x in padded)))):
-        if i and not i % most[0]:
+        if i and not i % on_cpu:
             total = store(total)
-        elif i and not i % most[1]:
+        elif i and not i % elsewhere:
             total = store_off_cpu(total)
         more = _paired(terms(moved, dy * dy + dx * dx))
         total = tuple(t + m for t, m in zip(total, more))
