@@ -44,7 +44,7 @@ def _barrier(tree: Any) -> Any:
     return jax.tree.map(lax.optimization_barrier, tree)
 
 
-def _barrier_on_cpu(tree: Any) -> Any:
+def barrier_on_cpu(tree: Any) -> Any:
     return lax.platform_dependent(tree, cpu=_barrier, default=lambda v: v)
 
 
@@ -171,5 +171,5 @@ def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
     if len(shape) < 3:
         return fn(*images)
     # barriers, or XLA would move the reshapes out of the way
-    rows = _barrier_on_cpu([x.reshape(shape[0], -1) for x in images])
-    return _barrier_on_cpu(fn(*rows)).reshape(shape)
+    rows = barrier_on_cpu([x.reshape(shape[0], -1) for x in images])
+    return barrier_on_cpu(fn(*rows)).reshape(shape)

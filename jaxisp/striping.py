@@ -117,6 +117,7 @@ def in_strips_on_cpu(
     unit: int = 2,
     *,
     forward: bool = True,
+    large: int = 1,
 ) -> Any:
     """`fn(image, *others)`; on a CPU `in_strips` where the frame is large.
 
@@ -130,13 +131,14 @@ def in_strips_on_cpu(
         others: further arguments, pytrees.
         unit: rows of a block.
         forward: False where the value itself needs little memory, and only the gradient much.
+        large: how many times as many pixels as usual a frame needs to be worth strips.
 
     Gradient: that of `fn`, strip by strip too, each of which is computed again for it.
     """
     height, width = jax.tree.leaves(image)[0].shape[:2]
     rows = max(ROWS, _STRIP // width, 12 * reach)
     cut = _cut(height, reach, rows, unit)
-    if height < 4 * ROWS or height * width < _LARGE or cut.window >= height:
+    if height < 4 * ROWS or height * width < large * _LARGE or cut.window >= height:
         return fn(image, *others)
     leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, (image, *others)))
     frames = len(jax.tree.leaves(image))

@@ -15,43 +15,61 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import inner_product, linear_call, total
-from jaxisp.numerics import safe_divide, store
+from jaxisp.numerics import barrier_on_cpu, safe_divide, store
 
-_NARROW = 256  # px: the rows of wider frames are joined as fast as they are looked up
+_NARROW = 256  # px
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 
-def pad(plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect") -> jax.Array:
+def pad(
+    plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect", *, whole: bool = False
+) -> jax.Array:
     """Pad by (rows, columns) on each side and store the result.
 
     Args:
         plane: (H, W), or (H, W, C).
         radius: one number, or (rows, columns).
         mode: "reflect" (the edge pixel is not repeated: keeps the phase of a mosaic), "edge",
-            "symmetric", "constant" (0). Any size works, also one smaller than the radius.
+            "symmetric", "constant" (0). Any size works, also one smaller than the radius; an axis of one
+            pixel has nothing to reflect and repeats it.
+        whole: True where several kernels read the result, or one reads it many times: else, of a wide frame,
+            a CPU stores the columns alone, and the readers look the rows up.
     """
-    ry, rx = (radius, radius) if isinstance(radius, int) else radius
-    if mode == "reflect" and any(n < 2 and r for n, r in zip(plane.shape, (ry, rx))):
-        mode = "edge"  # a single row or column has nothing to reflect
-    width = ((ry, ry), (rx, rx), *[(0, 0)] * (plane.ndim - 2))
-    if mode == "constant" or not ry or (rx and plane.shape[1] > _NARROW):
-        return lax.optimization_barrier(jnp.pad(plane, width, mode=mode))
-    return lax.optimization_barrier(_extended(plane, width, mode))
+    ry, rx = radii = (radius, radius) if isinstance(radius, int) else radius
+    if mode == "constant" or not ry or (rx and whole and plane.shape[1] > _NARROW):
+        return lax.optimization_barrier(_joined(plane, radii, mode))
 
-
-def _extended(plane: jax.Array, width: tuple[tuple[int, int], ...], mode: Any) -> jax.Array:
-    """`jnp.pad` with the rows looked up: joining them takes XLA's CPU code longer where they are short."""
-    whole = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
-
+    # the rows looked up, as XLA's CPU code takes longer to join them; in narrow frames before the columns
+    # are joined, so that all is stored
     def looked_up(_: Any, x: jax.Array) -> jax.Array:
-        place = np.pad(np.arange(len(x), dtype=np.int32), width[0], mode=mode)
-        rows = jnp.take(x.reshape(len(x), -1), place, axis=0, mode="clip")
-        return jnp.pad(rows.reshape(len(place), *x.shape[1:]), ((0, 0), *width[1:]), mode=mode)
+        if x.shape[1] > _NARROW:
+            return _rows(barrier_on_cpu(_joined(x, (0, rx), mode)), ry, mode)
+        return _joined(_rows(x, ry, mode), (0, rx), mode)
 
     def joined_back(_: Any, y: jax.Array) -> jax.Array:
-        return jax.linear_transpose(lambda x: jnp.pad(x, width, mode=mode), whole)(y)[0]
+        like = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
+        return jax.linear_transpose(lambda x: _joined(x, radii, mode), like)(y)[0]
 
-    return linear_call(looked_up, joined_back, (), plane)
+    return lax.optimization_barrier(linear_call(looked_up, joined_back, (), plane))
+
+
+def _joined(plane: jax.Array, radii: tuple[int, int], mode: str) -> jax.Array:
+    for axis, r in enumerate(radii):
+        if r:
+            width = [(r, r) if a == axis else (0, 0) for a in range(plane.ndim)]
+            plane = jnp.pad(plane, width, mode=_for(plane.shape[axis], mode))
+    return plane
+
+
+def _rows(plane: jax.Array, radius: int, mode: str) -> jax.Array:
+    height = len(plane)
+    place = np.pad(np.arange(height, dtype=np.int32), radius, mode=_for(height, mode))
+    found = jnp.take(plane.reshape(height, -1), place, axis=0, mode="clip")
+    return found.reshape(len(place), *plane.shape[1:])
+
+
+def _for(size: int, mode: str) -> Any:
+    return "edge" if mode == "reflect" and size == 1 else mode
 
 
 def views(
@@ -61,6 +79,23 @@ def views(
     ry, rx = (radius, radius) if isinstance(radius, int) else radius
     h, w = padded.shape[0] - 2 * ry, padded.shape[1] - 2 * rx
     return [lax.slice(padded, (ry + dy, rx + dx), (ry + dy + h, rx + dx + w)) for dy, dx in offsets]
+
+
+def edge_counts(shape: tuple[int, ...], dtype: Any) -> jax.Array:
+    """(H, W): 2 on the first and last row, times 2 on the first and last column, else 1.
+
+    It turns the adjoint of a reflected window into a reflected window. With `out_p = sum_q f(q, p)`
+    over the window of p, an interior q meets p directly and through its own mirror image, which is as
+    often as q meets p and the mirror image of p. A pixel on the mirror line has no second image, so
+    `sum_p f(q, p) = sum_p f(q, p) counts_p / counts_q` over the reflected window of q.
+    """
+
+    def line(axis: int) -> jax.Array:
+        index = lax.broadcasted_iota(jnp.int32, shape, axis)
+        last = shape[axis] - 1
+        return jnp.where(((index == 0) | (index == last)) & (last > 0), 2, 1)
+
+    return (line(0) * line(1)).astype(dtype)
 
 
 def square(radius: int) -> list[tuple[int, int]]:

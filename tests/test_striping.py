@@ -91,17 +91,17 @@ def test_gradients_in_strips_go_to_every_frame(height, rng, small):
 
 
 @pytest.mark.parametrize(
-    "smooth",
+    "width, smooth",
     [
-        lambda x: median_plane(x, "3x3"),
-        lambda x: median_plane(x, "5x5"),
-        lambda x: bilateral_plane(x, x, 1.2, 0.2, 2),
-        lambda x: run(stage("unsharp_mask", radius=2), UNSHARP, x[..., None].repeat(3, -1)),
-        lambda x: run(stage("optical_blur", radius=2), BLUR, x[..., None].repeat(3, -1)),
+        (60, lambda x: median_plane(x, "3x3")),
+        (60, lambda x: median_plane(x, "5x5")),
+        (7, lambda x: bilateral_plane(x, x, 1.2, 0.2, 2)),
+        (7, lambda x: run(stage("unsharp_mask", radius=2), UNSHARP, x[..., None].repeat(3, -1))),
+        (7, lambda x: run(stage("optical_blur", radius=2), BLUR, x[..., None].repeat(3, -1))),
     ],
 )
-def test_large_frames_of_the_stages_that_use_strips(smooth, rng, monkeypatch):
-    image = jnp.asarray(rng.random((305, 7)), jnp.float32)
+def test_large_frames_of_the_stages_that_use_strips(width, smooth, rng, monkeypatch):
+    image = jnp.asarray(rng.random((305, width)), jnp.float32)
 
     def both():
         y, pull = jax.vjp(smooth, image)
@@ -114,6 +114,12 @@ def test_large_frames_of_the_stages_that_use_strips(smooth, rng, monkeypatch):
     got = both()
     for a, b in zip(got, want):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("width, strips", [(7, False), (60, True)])
+def test_medians_go_in_strips_on_larger_frames_than_others(width, strips, small):
+    smooth = jax.jit(lambda x: median_plane(x, "3x3"))
+    assert ("while" in smooth.lower(jnp.ones((305, width))).as_text()) == strips
 
 
 def test_the_gradient_takes_the_memory_of_a_strip(small):

@@ -15,7 +15,6 @@ import skimage.data
 from jaxisp.cfa import PATTERNS, masks, select, shifted
 from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.homogeneity import _cube_root
-from jaxisp.stages.demosaic.median import median_3x3
 from tests.conftest import smooth_image
 
 SHAPE = (29, 34)
@@ -199,20 +198,6 @@ def test_cube_root_in_double_precision(x64):
 
 
 # ---- the colour-difference median
-
-
-def test_median_is_exact(rng):
-    for plane in (rng.standard_normal((9, 14)), rng.integers(0, 4, (7, 5))):
-        plane = plane.astype(np.float32)
-        want = ndi.median_filter(plane, 3, mode="mirror")
-        np.testing.assert_array_equal(median_3x3(jnp.asarray(plane)), want)
-
-
-def test_median_gradient_goes_to_the_median():
-    plane = jnp.asarray([[9.0, 1, 8], [2, 5, 7], [3, 4, 6]])
-    grad = jax.grad(lambda p: median_3x3(p)[1, 1])(plane)
-    np.testing.assert_array_equal(grad, np.asarray(plane) == 5)
-    np.testing.assert_allclose(jax.grad(lambda p: median_3x3(p)[1, 1])(jnp.ones((3, 3))), 1 / 9, rtol=1e-6)
 
 
 def test_color_difference_median_matches_scipy(x64):

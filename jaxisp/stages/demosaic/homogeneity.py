@@ -17,7 +17,9 @@ _GROUP = 12  # window offsets a fused kernel, three planes each
 def homogeneity_lead(rows: Planes, columns: Planes, delta: int) -> jax.Array:
     """By how many pixels the 3x3 homogeneity of the candidate interpolated along rows is the greater."""
     lab_rows, lab_columns = (materialize(_lab(lax.stop_gradient(c))) for c in (rows, columns))
-    padded_rows, padded_columns = ([pad(p, delta) for p in lab] for lab in (lab_rows, lab_columns))
+    padded_rows, padded_columns = (
+        [pad(p, delta, whole=True) for p in lab] for lab in (lab_rows, lab_columns)
+    )
     luma_rows, chroma_rows = _spread(padded_rows, [(0, -1), (0, 1)], delta)
     luma_columns, chroma_columns = _spread(padded_columns, [(-1, 0), (1, 0)], delta)
     tolerance = materialize((jnp.minimum(luma_rows, luma_columns), jnp.minimum(chroma_rows, chroma_columns)))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.linear import linear_call
+from jaxisp.windows import edge_counts
 
 Operator = Callable[..., jax.Array]
 """`operator(*held, x)`, linear in x."""
@@ -77,18 +78,8 @@ def mirrored(
 
     def weighted(*args: jax.Array) -> jax.Array:
         *held, cotangent = args
-        counts = _edge_counts(shape, cotangent.dtype)
+        counts = edge_counts(shape, cotangent.dtype)
         outer = counts if cotangent.ndim == 2 else jnp.expand_dims(counts, channel_axis)
         return adjoint(*held, cotangent * outer) / counts
 
     return weighted
-
-
-def _edge_counts(shape: tuple[int, ...], dtype: Any) -> jax.Array:
-    """2 on the first and last row, times 2 on the first and last column, else 1."""
-
-    def line(axis: int) -> jax.Array:
-        index = lax.broadcasted_iota(jnp.int32, shape, axis)
-        return jnp.where((index == 0) | (index == shape[axis] - 1), 2, 1)
-
-    return (line(0) * line(1)).astype(dtype)

@@ -17,15 +17,15 @@ from jaxisp.linear import inner_product, linear_call
 from jaxisp.numerics import nearest_int, store, store_off_cpu
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.stages.denoise.grid import grid_planes
 from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import views
+from jaxisp.windows import edge_counts, pad, views
 
 Planes = tuple[jax.Array, ...]
 
 # taps of a fused kernel, on a CPU and elsewhere: more is slower to compile and to run
 _FORWARD_TAPS, _BACKWARD_TAPS = (80, 40), (40, 20)
+_FEW_TAPS = 20  # up to so many it pays to look the rows of the neighbours up as they are read
 _EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0096760319183, 0.0013390863364)
 """2**x on [-0.5, 0.5], interpolated at Chebyshev nodes, lowest power first."""
 
@@ -289,7 +289,7 @@ def _over_disc(
     terms = jax.jit(terms)
     span = range(-radius, radius + 1)
     taps = [(dy, dx) for dy in span for dx in span if 0 < dy * dy + dx * dx <= radius * radius]
-    padded = tuple(reflect(x, radius) for x in near)
+    padded = tuple(pad(x, radius, whole=len(taps) > _FEW_TAPS) for x in near)
     total = _paired(start)
     for i, ((dy, dx), moved) in enumerate(zip(taps, zip(*(views(x, taps, radius) for x in padded)))):
         if i and not i % on_cpu:

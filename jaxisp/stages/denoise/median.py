@@ -12,10 +12,11 @@ from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize, planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.stages.denoise.filters import edge_counts, reflect
 from jaxisp.stages.denoise.networks import MEDIANS
 from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import views
+from jaxisp.windows import edge_counts, pad, views
+
+_LARGE = 8  # times the usual: up to that three planes leave a CPU with less than 32 MB of scratch
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
@@ -31,7 +32,7 @@ def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
 
     Gradient: exact where the median is one pixel: it goes there. Pixels tied with it share it equally.
     """
-    return MEDIANS[footprint][0](plane)
+    return in_strips_on_cpu(MEDIANS[footprint][0], plane, _radius(footprint), large=_LARGE)
 
 
 @median_plane.defjvp
@@ -73,7 +74,7 @@ def _radius(footprint: str) -> int:
 
 def _near(plane: jax.Array, footprint: str) -> list[jax.Array]:
     radius = _radius(footprint)
-    return views(reflect(plane, radius), MEDIANS[footprint][1], radius)
+    return views(pad(plane, radius), MEDIANS[footprint][1], radius)
 
 
 def _count(equal: list[jax.Array], dtype: jnp.dtype) -> jax.Array:

@@ -1,15 +1,11 @@
 """Medians by comparator networks: exact, branch-free, minima and maxima only."""
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from jaxisp.numerics import materialize
-from jaxisp.stages.denoise.filters import reflect
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import views
+from jaxisp.windows import pad, views
 
 Network = tuple[tuple[int, int], ...]
 """Comparators (i, j): wire i gets the smaller and wire j the larger, in order."""
@@ -55,26 +51,25 @@ def compare(values: list[jax.Array], network: Network) -> list[jax.Array]:
 
 def median_cross(plane: jax.Array) -> jax.Array:
     """Median of a pixel and its 4 neighbours, borders reflected."""
-    return compare(views(reflect(plane, 1), CROSS, 1), MEDIAN_5)[2]
+    return compare(views(pad(plane, 1), CROSS, 1), MEDIAN_5)[2]
 
 
 def median_3x3(plane: jax.Array) -> jax.Array:
     """Median of 3x3 pixels, borders reflected."""
-    return in_strips_on_cpu(partial(_median_square, 1, SORT_3, MEDIAN_3X3), plane, 1)
+    return _median_square(plane, 1, SORT_3, MEDIAN_3X3)
 
 
 def median_5x5(plane: jax.Array) -> jax.Array:
     """Median of 5x5 pixels, borders reflected."""
-    return in_strips_on_cpu(partial(_median_square, 2, SORT_5, MEDIAN_5X5), plane, 2)
+    return _median_square(plane, 2, SORT_5, MEDIAN_5X5)
 
 
-def _median_square(radius: int, sort: Network, select: Network, plane: jax.Array) -> jax.Array:
-    """Columns are sorted once for all the windows that share them."""
-    down = [(d, 0) for d in range(-radius, radius + 1)]
-    across = [(0, d) for d in range(-radius, radius + 1)]
-    columns = materialize(tuple(compare(views(reflect(plane, radius), down, (radius, 0)), sort)))
-    wires = [v for ranked in columns for v in views(ranked, across, (0, radius))]
-    return compare(wires, select)[4]
+def _median_square(plane: jax.Array, radius: int, sort: Network, select: Network) -> jax.Array:
+    """Columns are sorted anew for each window that shares them: to store them takes a CPU longer."""
+    span = range(-radius, radius + 1)
+    padded = pad(plane, radius)
+    columns = [compare(views(padded, [(dy, dx) for dy in span], radius), sort) for dx in span]
+    return compare([column[rank] for rank in range(2 * radius + 1) for column in columns], select)[4]
 
 
 MEDIANS: dict[str, tuple[Callable[[jax.Array], jax.Array], tuple[tuple[int, int], ...]]] = {
