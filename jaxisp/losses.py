@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import planes
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.numerics import planes, safe_divide
+from jaxisp.numerics import safe_divide
 
 
 def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:

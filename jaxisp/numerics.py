@@ -145,23 +145,6 @@ def _run_where(wanted: jax.Array, fn: Callable[..., jax.Array], operands: Sequen
     return lax.cond(wanted, fn, lambda *xs: jnp.zeros_like(xs[-1]), *operands)
 
 
-def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:
-    """Apply a function of an (H, W) plane to a mosaic, or to each channel of an (H, W, C) image.
-
-    The channels go first: neighbourhood code on an interleaved array is 8x slower.
-    """
-    if image.ndim == 2:
-        return fn(image)
-    return jnp.moveaxis(jax.vmap(fn)(jnp.moveaxis(image, -1, 0)), 0, -1)
-
-
-def planes(image: jax.Array) -> tuple[jax.Array, ...]:
-    """The channels of (H, W, C) as a tuple of (H, W)."""
-    # split, as the transpose of slices would pad each of them
-    last = image.ndim - 1
-    return tuple(lax.squeeze(p, (last,)) for p in lax.split(image, (1,) * image.shape[-1], axis=last))
-
-
 def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
     """`fn(*images)`, elementwise in images of one shape, as rows of interleaved pixels.
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import scipy.ndimage as ndi
 
+from jaxisp.channels import per_plane
 from jaxisp.linear import inner_product
-from jaxisp.numerics import materialize, per_plane
+from jaxisp.numerics import materialize
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views

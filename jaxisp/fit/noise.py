@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.channels import planes
 from jaxisp.color import LUMA_601, rgb_to_ycbcr_planes
 from jaxisp.fit.planes import blur
-from jaxisp.numerics import planes
 
 BLOCK = 16
 BINS = 3

@@ -8,10 +8,11 @@ import math
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.linear import mean
-from jaxisp.numerics import planes, straight_through
+from jaxisp.numerics import straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -141,7 +142,7 @@ def _neutralise(image: jax.Array, colour: list[jax.Array], strength: jax.Array) 
     logs = [jnp.log(jnp.maximum(c, DARKEST)) for c in colour]
     bound = math.log(LARGEST_RATIO)
     gains = [jnp.exp(strength * jnp.clip(logs[1] - c, -bound, bound)) for c in logs]
-    return jnp.stack([g * plane for g, plane in zip(gains, planes(image))], axis=-1)
+    return interleaved([g * plane for g, plane in zip(gains, planes(image))])
 
 
 @parameters

@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.channels import per_plane, planes
 from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import on_all_cores, per_plane, planes, safe_divide, straight_through
+from jaxisp.numerics import on_all_cores, safe_divide, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.striping import in_strips_on_cpu

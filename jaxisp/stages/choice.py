@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
-from jaxisp.numerics import planes, round_through, weighted
+from jaxisp.numerics import round_through, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
@@ -105,7 +106,7 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
     forms = params.sampled, params.repeated
     cb, cr = (_halved(_halved(c, params.horizontal, *forms).T, params.vertical, *forms).T for c in chroma)
-    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), -1)
+    return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
 def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: jax.Array) -> jax.Array:
@@ -117,7 +118,7 @@ def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: ja
     wide = jnp.pad(small, ((0, 0), (1, 1)), mode="edge")
     far = 0.25 * (1 - repeated)
     left, right = (small + far * (wide[:, s : s + small.shape[1]] - small) for s in (0, 2))
-    restored = jnp.stack([left, right], -1).reshape(even.shape)[:, :width]
+    restored = interleaved([left, right]).reshape(even.shape)[:, :width]
     return plane + share * (restored - plane)
 
 

@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
-from jaxisp.numerics import clip_through, materialize, planes, round_through, straight_through
+from jaxisp.numerics import clip_through, materialize, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -199,4 +200,4 @@ def _levels(image: jax.Array) -> Planes:
 def _stacked(coded: Iterable[jax.Array], image: jax.Array) -> jax.Array:
     """The image of the coded planes, with NaN at the pixels of the image that have one."""
     lost = jnp.isnan(image).any(-1)
-    return jnp.stack([jnp.where(lost, jnp.nan, p).astype(image.dtype) / 255 for p in coded], axis=-1)
+    return interleaved([jnp.where(lost, jnp.nan, p).astype(image.dtype) / 255 for p in coded])

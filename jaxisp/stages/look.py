@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB, EncodedRGB
 from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize, planes, safe_sqrt, straight_through
+from jaxisp.numerics import materialize, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import gaussian_blur
@@ -125,7 +126,7 @@ def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
     turn, gain, lift = (saturation * amount for amount in by_hue)
     cos, sin = materialize(((1 + gain) * jnp.cos(turn), (1 + gain) * jnp.sin(turn)))
     chroma = safe_sqrt(cb * cb + cr * cr)
-    return jnp.stack(ycbcr_to_rgb_planes(y + lift * chroma, cos * cb - sin * cr, sin * cb + cos * cr), -1)
+    return interleaved(ycbcr_to_rgb_planes(y + lift * chroma, cos * cb - sin * cr, sin * cb + cos * cr))
 
 
 @jax.custom_jvp

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.channels import interleaved, per_plane, planes
 from jaxisp.domains import RGB
-from jaxisp.numerics import materialize, per_plane, planes, safe_divide, weighted
+from jaxisp.numerics import materialize, safe_divide, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -155,7 +156,7 @@ def resampling(
         return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
     rows, columns = (_blocks(n, factor, way) for n in image.shape[:2])
     turned = [materialize(_along_rows(p, rows)) for p in planes(image)]
-    return jnp.stack([_along_rows(p, columns) for p in turned], axis=-1)
+    return interleaved([_along_rows(p, columns) for p in turned])
 
 
 def _there_and_back(size: int, factor: jax.Array, way: _Way) -> jax.Array:

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp import cfa as bayer
+from jaxisp.channels import planes
 from jaxisp.domains import Image, LinearRGB, Mosaic
 from jaxisp.linear import pointwise
-from jaxisp.numerics import clip_through, planes, round_through, straight_through
+from jaxisp.numerics import clip_through, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.windows import pad, views

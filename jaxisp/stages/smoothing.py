@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.channels import interleaved, per_plane, planes
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import EncodedRGB, LinearRGB
-from jaxisp.numerics import materialize, per_plane, planes, weighted
+from jaxisp.numerics import materialize, weighted
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.bilateral import bilateral_plane
@@ -76,7 +77,7 @@ def luma_denoising(params: LumaDenoising, image: EncodedRGB) -> EncodedRGB:
     local statistics".
     """
     y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
-    return jnp.stack(ycbcr_to_rgb_planes(_mixed(y, params.shares, LUMA_FILTERS), cb, cr), -1)
+    return interleaved(ycbcr_to_rgb_planes(_mixed(y, params.shares, LUMA_FILTERS), cb, cr))
 
 
 @parameters
@@ -111,7 +112,7 @@ def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
     """
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
     cb, cr = (_mixed(c, params.shares, CHROMA_FILTERS) for c in chroma)
-    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), -1)
+    return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
 def _mixed(plane: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:

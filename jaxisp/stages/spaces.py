@@ -1,7 +1,6 @@
 """Conversions between colour spaces. Each `a_to_b` is the exact inverse of its `b_to_a`."""
 
-import jax.numpy as jnp
-
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import (
     SRGB_TO_XYZ,
     XYZ_TO_SRGB,
@@ -11,7 +10,6 @@ from jaxisp.color import (
 )
 from jaxisp.colorimetry import PROPHOTO_TO_SRGB, SRGB_TO_PROPHOTO
 from jaxisp.domains import XYZ, EncodedRGB, LinearRGB, ProPhotoRGB, YCbCr
-from jaxisp.numerics import planes
 from jaxisp.pipeline import register
 
 
@@ -107,7 +105,7 @@ def rgb_to_ycbcr(image: EncodedRGB) -> YCbCr:
 
     Source: ITU-T T.871 (JFIF); ITU-R BT.601.
     """
-    return jnp.stack(rgb_to_ycbcr_planes(*planes(image)), axis=-1)
+    return interleaved(rgb_to_ycbcr_planes(*planes(image)))
 
 
 @register
@@ -126,4 +124,4 @@ def ycbcr_to_rgb(image: YCbCr) -> EncodedRGB:
 
     Source: ITU-T T.871 (JFIF); ITU-R BT.601.
     """
-    return jnp.stack(ycbcr_to_rgb_planes(*planes(image)), axis=-1)
+    return interleaved(ycbcr_to_rgb_planes(*planes(image)))

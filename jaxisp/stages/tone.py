@@ -9,10 +9,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import planes
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.linear import pointwise
-from jaxisp.numerics import planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.power import power

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
@@ -75,7 +76,7 @@ def demosaic_ahd(
     if not median_passes:
         return picture
     red, green, blue = picture
-    return jnp.stack(smooth_differences((red, green, blue), median_passes), axis=-1)
+    return interleaved(smooth_differences((red, green, blue), median_passes))
 
 
 def reach(delta: int = 2, median_passes: int = 0) -> int:
@@ -93,7 +94,7 @@ class _Options(NamedTuple):
 def _evaluate(how: _Options, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """The picture, and the decisions: the share of the candidate along rows, then LibRaw's."""
     rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, reach(how.delta))
-    return jnp.stack(rgb, axis=how.axis), decisions
+    return _joined(how, rgb), decisions
 
 
 def _chosen(how: _Options, image: jax.Array) -> tuple[Planes, tuple[jax.Array, ...]]:
@@ -125,7 +126,11 @@ def _decided(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:
     rows, columns = (materialize(_candidate(at, image, green)) for green in materialize(greens))
     if how.libraw:
         rows, columns = _masked(rows, *decisions[2:4]), _masked(columns, *decisions[4:6])
-    return jnp.stack(_blend(how, share, rows, columns), axis=how.axis)
+    return _joined(how, _blend(how, share, rows, columns))
+
+
+def _joined(how: _Options, rgb: Planes) -> jax.Array:
+    return jnp.stack(rgb) if how.axis == 0 else interleaved(rgb)
 
 
 def _candidate(at: Sites, mosaic: jax.Array, green: jax.Array) -> Planes:
@@ -153,7 +158,7 @@ def _collect(how: _Options, share: jax.Array, *rest: jax.Array) -> jax.Array:
     """The adjoint of `_decided`; the cotangent comes last."""
     *decisions, cotangent = rest
     at = sites(share.shape, how.cfa)
-    rgb = materialize(tuple(jnp.moveaxis(cotangent, how.axis, 0)))
+    rgb = materialize(tuple(cotangent) if how.axis == 0 else planes(cotangent))
     rows: Planes = tuple(share * p for p in rgb)
     columns: Planes = tuple((1 - share) * p for p in rgb)
     if how.libraw:

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.linear import linear_call
-from jaxisp.numerics import planes
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     collect,
@@ -56,7 +56,7 @@ def _interpolate(cfa: str, image: jax.Array) -> jax.Array:
     padded = pad(image, 1)
     row, column = row_and_column_sums(padded, 1)
     red, blue = red_and_blue(at, image, 0.25 * diagonal_sum(padded, 1), 0.5 * row, 0.5 * column)
-    return jnp.stack([red, jnp.where(at.green, image, 0.25 * (row + column)), blue], axis=-1)
+    return interleaved([red, jnp.where(at.green, image, 0.25 * (row + column)), blue])
 
 
 def _collect(cfa: str, cotangent: jax.Array) -> jax.Array:

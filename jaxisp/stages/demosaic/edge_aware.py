@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, red_and_blue, row_and_column_sums, sites
@@ -53,4 +54,4 @@ def _by_planes(cfa: str, share: jax.Array, image: jax.Array) -> jax.Array:
     row, column = row_and_column_sums(padded, 1)
     green = jnp.where(at.green, image, share * (0.5 * row) + (1 - share) * (0.5 * column))
     red, blue = red_and_blue(at, image, 0.25 * diagonal_sum(padded, 1), 0.5 * row, 0.5 * column)
-    return jnp.stack([red, green, blue], axis=-1)
+    return interleaved([red, green, blue])

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
@@ -81,4 +82,4 @@ def _by_differences(cfa: str, share: jax.Array, image: jax.Array) -> jax.Array:
     difference = materialize(jnp.where(at.green, 0, image - green))
     red, blue = spread_differences(at, pad(difference, 1))
     green = image - difference
-    return jnp.stack([green + red, green, green + blue], axis=-1)
+    return interleaved([green + red, green, green + blue])

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa, shifted
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     CROSS,
@@ -74,7 +75,7 @@ def _finish(cfa: str, padded: jax.Array, share: jax.Array) -> jax.Array:
     difference = materialize(jnp.where(sites(wide.shape, shifted(cfa, 1, 1)).green, 0, difference))
     green = image - difference[1:-1, 1:-1]
     red_green, blue_green = spread_differences(sites(image.shape, cfa), difference)
-    return jnp.stack([green + red_green, green, green + blue_green], axis=-1)
+    return interleaved([green + red_green, green, green + blue_green])
 
 
 def _collect(cfa: str, share: jax.Array, cotangent: jax.Array) -> jax.Array:

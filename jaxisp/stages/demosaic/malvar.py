@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.linear import linear_call
-from jaxisp.numerics import planes
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     collect,
@@ -63,7 +63,7 @@ def _interpolate(cfa: str, image: jax.Array) -> jax.Array:
     in_row = 0.625 * image + 0.5 * row - 0.125 * (diagonal + far_row) + 0.0625 * far_column
     in_column = 0.625 * image + 0.5 * column - 0.125 * (diagonal + far_column) + 0.0625 * far_row
     red, blue = red_and_blue(at, image, opposite, in_row, in_column)
-    return jnp.stack([red, jnp.where(at.green, image, green), blue], axis=-1)
+    return interleaved([red, jnp.where(at.green, image, green), blue])
 
 
 def _collect(cfa: str, cotangent: jax.Array) -> jax.Array:

@@ -5,8 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Planes
 from jaxisp.stages.denoise.median import median_plane
@@ -62,4 +63,4 @@ def color_difference_median(image: CameraRGB, *, passes: int = 1) -> CameraRGB:
 
     Source: Hirakawa & Parks 2005, interpolation artifact reduction; Freeman 1988, US patent 4724395.
     """
-    return jnp.stack(smooth_differences(planes(image), passes), axis=-1)  # type: ignore[arg-type]
+    return interleaved(smooth_differences(planes(image), passes))  # type: ignore[arg-type]

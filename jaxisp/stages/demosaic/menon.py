@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     Sites,
@@ -107,7 +108,7 @@ def _finish(
     opposite = known + jnp.where(at.blue, gap, -gap)
     red, blue = red_and_blue(at, known, opposite, 0.5 * row, 0.5 * column)
     green = image - known
-    return jnp.stack([green + red, green, green + blue], axis=-1)
+    return interleaved([green + red, green, green + blue])
 
 
 def _collect(cfa: str, refining: bool, horizontal: jax.Array, cotangent: jax.Array) -> jax.Array:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
+from jaxisp.channels import interleaved
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
@@ -95,7 +96,7 @@ def _with_weights(cfa: str, *args: jax.Array) -> jax.Array:
     green = jnp.where(at.green, image, first)
     red = jnp.where(at.red, image, jnp.where(at.green & at.red_row, first, second))
     blue = jnp.where(at.blue, image, jnp.where(at.green & ~at.red_row, first, second))
-    return jnp.stack([red, green, blue], axis=-1)
+    return interleaved([red, green, blue])
 
 
 def _mean(padded: jax.Array, offsets: list[Offset]) -> jax.Array:

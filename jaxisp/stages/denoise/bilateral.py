@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp import numerics
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.linear import inner_product, linear_call
@@ -91,7 +91,7 @@ def bilateral(
             "bilateral: chroma_cell must be even and chroma_bins at least 2, "
             f"got {chroma_cell} and {chroma_bins}"
         )
-    y, cb, cr = rgb_to_ycbcr_planes(*numerics.planes(image))
+    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
     widths = params.chroma_sigma_space, params.chroma_sigma_range
     for _ in range(iterations):
         guide = _compressed(y, params.guide_gamma)
@@ -100,7 +100,7 @@ def bilateral(
             cb, cr = grid_planes((cb, cr), y, *widths, chroma_cell, chroma_bins)
         else:
             cb, cr = bilateral_planes((cb, cr), y, *widths, chroma_radius)
-    return jnp.stack(ycbcr_to_rgb_planes(y, cb, cr), axis=-1)
+    return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
 def _compressed(y: jax.Array, gamma: jax.Array) -> jax.Array:

@@ -6,10 +6,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.networks import MEDIANS
@@ -128,4 +129,4 @@ def median(
             if wanted:
                 filtered = materialize(median_plane(parts[i], footprint))
                 parts[i] = parts[i] + params.strength * (filtered - parts[i])
-    return jnp.stack(ycbcr_to_rgb_planes(*parts), axis=-1)
+    return interleaved(ycbcr_to_rgb_planes(*parts))

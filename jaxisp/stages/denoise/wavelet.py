@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.dwt import SCALING, analyse, synthesise
@@ -68,7 +69,7 @@ def wavelet_coring(
         return core_plane(plane, sigma, params.strength, wavelet, levels, method)
 
     filtered = materialize(jax.vmap(shrink)(materialize(parts), sigmas))
-    return jnp.stack(ycbcr_to_rgb_planes(*filtered), axis=-1)
+    return interleaved(ycbcr_to_rgb_planes(*filtered))
 
 
 def core_plane(

@@ -3,9 +3,10 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.color import luma
 from jaxisp.domains import EncodedRGB, Image
-from jaxisp.numerics import planes, safe_sqrt
+from jaxisp.numerics import safe_sqrt
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise.draws import filtered_normal, normal
@@ -44,7 +45,7 @@ def correlated_noise(params: CorrelatedNoise, image: Image, *, key: jax.Array) -
     taps = [_correlating_taps(r.astype(image.dtype)) for r in (params.vertical, params.horizontal)]
     keys = [key] if image.ndim == 2 else list(jax.random.split(key, image.shape[-1]))
     noise = [filtered_normal(k, image, *taps) for k in keys]
-    return image + params.std.astype(image.dtype) * (noise[0] if image.ndim == 2 else jnp.stack(noise, -1))
+    return image + params.std.astype(image.dtype) * (noise[0] if image.ndim == 2 else interleaved(noise))
 
 
 def _correlating_taps(correlation: jax.Array) -> jax.Array:

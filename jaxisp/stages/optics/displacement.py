@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
 from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize, planes
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
@@ -54,7 +55,7 @@ def lateral_chromatic_aberration(
     """
     r, g, b = planes(image)
     red, blue = _magnified(r, params.red_scale, most), _magnified(b, params.blue_scale, most)
-    return jnp.stack([red, g, blue], axis=-1)
+    return interleaved([red, g, blue])
 
 
 def _magnified(plane: jax.Array, scale: jax.Array, most: float) -> jax.Array:

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
 from jaxisp.linear import pointwise
-from jaxisp.numerics import planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import radius_squared
@@ -128,7 +128,7 @@ def color_shading(params: ColorShading, image: LinearRGB) -> LinearRGB:
     r2 = radius_squared(image.shape, image.dtype)
     r, g, b = planes(image)
     red = radial_gain(r2, params.red_a2, params.red_a4)
-    return jnp.stack([r * red, g, b * radial_gain(r2, params.blue_a2, params.blue_a4)], axis=-1)
+    return interleaved([r * red, g, b * radial_gain(r2, params.blue_a2, params.blue_a4)])
 
 
 def radial_gain(r2: jax.Array, *coefficients: jax.Array) -> jax.Array:

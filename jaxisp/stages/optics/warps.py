@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import planes
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
@@ -108,7 +108,7 @@ def rectilinear_warp(params: RectilinearWarp, image: LinearRGB) -> LinearRGB:
         return _read(plane[..., None], reach * dy, reach * dx, params.sharpness)[..., 0]
 
     polynomials = (jnp.asarray(p, image.dtype) for p in (params.radial, params.tangential))
-    return jnp.stack([corrected(*own) for own in zip(planes(image), *polynomials)], axis=-1)
+    return interleaved([corrected(*own) for own in zip(planes(image), *polynomials)])
 
 
 def _read(image: jax.Array, dy: jax.Array, dx: jax.Array, sharpness: Leaf) -> jax.Array:
@@ -151,7 +151,7 @@ def color_magnification(params: ColorMagnification, image: LinearRGB) -> LinearR
     sharpness = jnp.asarray(params.sharpness, image.dtype)
     r, g, b = planes(image)
     red, blue = (_magnified(p, s, sharpness) for p, s in ((r, params.red_scale), (b, params.blue_scale)))
-    return jnp.stack([red, g, blue], axis=-1)
+    return interleaved([red, g, blue])
 
 
 def _magnified(plane: jax.Array, scale: Leaf, sharpness: jax.Array) -> jax.Array:
