@@ -5,6 +5,7 @@ from functools import reduce
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxisp.linear import linear_call
@@ -12,7 +13,10 @@ from jaxisp.linear import linear_call
 
 def planes(image: jax.Array) -> tuple[jax.Array, ...]:
     """The channels of (H, W, C) as a tuple of (H, W)."""
-    # split, as the transpose of slices would pad each of them
+    return linear_call(lambda _, x: _split(x), lambda _, c: _interleaved(c), (), image)
+
+
+def _split(image: jax.Array) -> tuple[jax.Array, ...]:
     last = image.ndim - 1
     return tuple(lax.squeeze(p, (last,)) for p in lax.split(image, (1,) * image.shape[-1], axis=last))
 
@@ -23,7 +27,7 @@ def interleaved(channels: Sequence[jax.Array]) -> jax.Array:
     On a CPU each value is selected from those of all channels: XLA vectorises that, and not what joins them
     along a last axis of 3, which takes twice as long.
     """
-    return linear_call(lambda _, c: _interleaved(c), lambda _, image: planes(image), (), tuple(channels))
+    return linear_call(lambda _, c: _interleaved(c), lambda _, image: _split(image), (), tuple(channels))
 
 
 def _interleaved(channels: tuple[jax.Array, ...]) -> jax.Array:
@@ -31,10 +35,16 @@ def _interleaved(channels: tuple[jax.Array, ...]) -> jax.Array:
 
 
 def _selected(channels: tuple[jax.Array, ...]) -> jax.Array:
-    shape = (*channels[0].shape, len(channels))
+    count = len(channels)
+    shape = (*channels[0].shape, count)
     index = lax.broadcasted_iota(jnp.int32, shape, len(shape) - 1)
-    *others, last = (jnp.broadcast_to(c[..., None], shape) for c in channels)
-    return reduce(lambda rest, i: jnp.where(index == i, others[i], rest), range(len(others)), last)
+
+    def alone(i: int) -> jax.Array:
+        # padded and not broadcast, which would have what is expensive to compute stored before
+        own = channels[i][..., None]
+        return lax.pad(own, np.zeros((), own.dtype), [(0, 0, 0)] * (own.ndim - 1) + [(i, count - 1 - i, 0)])
+
+    return reduce(lambda rest, i: jnp.where(index == i, alone(i), rest), range(count - 1), alone(count - 1))
 
 
 def per_plane(fn: Callable[[jax.Array], jax.Array], image: jax.Array) -> jax.Array:

@@ -17,58 +17,61 @@ from jax.custom_derivatives import SymbolicZero
 from jaxisp.linear import inner_product, linear_call, total
 from jaxisp.numerics import barrier_on_cpu, safe_divide, store
 
+Margin = int | tuple[int, int]
 _NARROW = 256  # px
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 
 def pad(
-    plane: jax.Array, radius: int | tuple[int, int], mode: str = "reflect", *, whole: bool = False
+    plane: jax.Array, radius: int | tuple[Margin, Margin], mode: str = "reflect", *, whole: bool = False
 ) -> jax.Array:
     """Pad by (rows, columns) on each side and store the result.
 
     Args:
         plane: (H, W), or (H, W, C).
-        radius: one number, or (rows, columns).
+        radius: one number, or (rows, columns), each a number or (before, after).
         mode: "reflect" (the edge pixel is not repeated: keeps the phase of a mosaic), "edge",
             "symmetric", "constant" (0). Any size works, also one smaller than the radius; an axis of one
             pixel has nothing to reflect and repeats it.
         whole: True where several kernels read the result, or one reads it many times: else, of a wide frame,
             a CPU stores the columns alone, and the readers look the rows up.
     """
-    ry, rx = radii = (radius, radius) if isinstance(radius, int) else radius
-    if mode == "constant" or not ry or (rx and whole and plane.shape[1] > _NARROW):
-        return lax.optimization_barrier(_joined(plane, radii, mode))
+    margins = (radius, radius) if isinstance(radius, int) else radius
+    rows, columns = widths = [(m, m) if isinstance(m, int) else m for m in margins]
+    wide = plane.shape[1] > _NARROW
+    if mode == "constant" or not any(rows) or (whole and wide and any(columns)):
+        return lax.optimization_barrier(_joined(plane, widths, mode))
 
     # the rows looked up, as XLA's CPU code takes longer to join them; in narrow frames before the columns
     # are joined, so that all is stored
     def looked_up(_: Any, x: jax.Array) -> jax.Array:
-        if x.shape[1] > _NARROW:
-            return _rows(barrier_on_cpu(_joined(x, (0, rx), mode)), ry, mode)
-        return _joined(_rows(x, ry, mode), (0, rx), mode)
+        if wide:
+            return _rows(barrier_on_cpu(_joined(x, [(0, 0), columns], mode)), rows, mode)
+        return _joined(_rows(x, rows, mode), [(0, 0), columns], mode)
 
     def joined_back(_: Any, y: jax.Array) -> jax.Array:
         like = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
-        return jax.linear_transpose(lambda x: _joined(x, radii, mode), like)(y)[0]
+        return jax.linear_transpose(lambda x: _joined(x, widths, mode), like)(y)[0]
 
     return lax.optimization_barrier(linear_call(looked_up, joined_back, (), plane))
 
 
-def _joined(plane: jax.Array, radii: tuple[int, int], mode: str) -> jax.Array:
-    for axis, r in enumerate(radii):
-        if r:
-            width = [(r, r) if a == axis else (0, 0) for a in range(plane.ndim)]
-            plane = jnp.pad(plane, width, mode=_for(plane.shape[axis], mode))
+def _joined(plane: jax.Array, widths: Sequence[tuple[int, int]], mode: str) -> jax.Array:
+    for axis, width in enumerate(widths):
+        if any(width):
+            each = [width if a == axis else (0, 0) for a in range(plane.ndim)]
+            plane = jnp.pad(plane, each, mode=_of_size(plane.shape[axis], mode))
     return plane
 
 
-def _rows(plane: jax.Array, radius: int, mode: str) -> jax.Array:
+def _rows(plane: jax.Array, width: tuple[int, int], mode: str) -> jax.Array:
     height = len(plane)
-    place = np.pad(np.arange(height, dtype=np.int32), radius, mode=_for(height, mode))
+    place = np.pad(np.arange(height, dtype=np.int32), width, mode=_of_size(height, mode))
     found = jnp.take(plane.reshape(height, -1), place, axis=0, mode="clip")
     return found.reshape(len(place), *plane.shape[1:])
 
 
-def _for(size: int, mode: str) -> Any:
+def _of_size(size: int, mode: str) -> Any:
     return "edge" if mode == "reflect" and size == 1 else mode
 
 

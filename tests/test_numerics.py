@@ -12,8 +12,6 @@ from jaxisp.numerics import (
     materialize,
     nearest_int,
     on_all_cores,
-    per_plane,
-    planes,
     round_through,
     safe_divide,
     safe_sqrt,
@@ -136,13 +134,6 @@ def test_a_share_of_its_own_for_each_of_a_batch(rng):
     np.testing.assert_allclose(got[1], 0.5 * jnp.cos(picture), rtol=1e-5)
 
 
-def test_per_plane_treats_channels_alike(rng):
-    image = jnp.asarray(rng.standard_normal((4, 6, 3)), jnp.float32)
-    flipped = per_plane(lambda p: p[::-1], image)
-    np.testing.assert_array_equal(flipped, image[::-1])
-    np.testing.assert_array_equal(per_plane(lambda p: p[::-1], image[..., 0]), image[::-1, :, 0])
-
-
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (4, 5, 7, 3)])
 def test_elementwise_is_the_function(shape, rng):
     x, y = jnp.asarray(rng.random((2, *shape)), jnp.float32)
@@ -154,10 +145,3 @@ def test_elementwise_is_the_function(shape, rng):
     np.testing.assert_allclose(fn(x, y), curve(x, y), rtol=1e-6)
     check_grads(fn, (x, y), order=1, modes=["fwd", "rev"], rtol=2e-2, atol=2e-2)
     np.testing.assert_allclose(jax.vmap(fn)(x, y), curve(x, y), rtol=1e-6)
-
-
-def test_planes_are_the_channels(rng):
-    image = rng.random((4, 6, 3))
-    np.testing.assert_array_equal(jnp.stack(planes(image), -1), jnp.asarray(image))
-    jaxpr = str(jax.make_jaxpr(jax.grad(lambda v: sum(p.sum() * k for k, p in enumerate(planes(v)))))(image))
-    assert "concatenate" in jaxpr and "pad" not in jaxpr

@@ -118,7 +118,7 @@ def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: ja
     wide = jnp.pad(small, ((0, 0), (1, 1)), mode="edge")
     far = 0.25 * (1 - repeated)
     left, right = (small + far * (wide[:, s : s + small.shape[1]] - small) for s in (0, 2))
-    restored = interleaved([left, right]).reshape(even.shape)[:, :width]
+    restored = jnp.stack([left, right], -1).reshape(even.shape)[:, :width]
     return plane + share * (restored - plane)
 
 

@@ -8,6 +8,7 @@ from jax import lax
 
 from jaxisp.linear import linear_call
 from jaxisp.numerics import materialize
+from jaxisp.windows import pad
 
 Bands = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Approximation, then horizontal, vertical and diagonal detail: low or high along (rows, columns) as
@@ -54,25 +55,35 @@ def analyse(plane: jax.Array, wavelet: str) -> Bands:
     """
     length = len(SCALING[wavelet])
     # an odd size gets one more on the right
-    widths = [(length - 2, length - 2 + n % 2) for n in plane.shape]
-    return _down(lax.optimization_barrier(jnp.pad(plane, widths, mode="symmetric")), wavelet)
+    rows, columns = ((length - 2, length - 2 + n % 2) for n in plane.shape)
+    return _down(pad(plane, (rows, columns), "symmetric", whole=True), wavelet)
 
 
 def synthesise(bands: Bands, shape: tuple[int, ...], wavelet: str) -> jax.Array:
     """The inverse of `analyse` for a plane of that shape. Gradient: exact, in both modes."""
-    start = len(SCALING[wavelet]) - 2
-    return lax.slice(_up(bands, wavelet), (start, start), (start + shape[0], start + shape[1]))
+    height, width = shape
+    return _up(bands, wavelet)[:height, :width]
 
 
-# Filtering with decimation and its transpose, each the other's gradient, so that both are read as slices.
+# Filtering with decimation, and its transpose where that reads no border, each with the other as its
+# gradient, so that both are read as slices.
 
 
 def _down(plane: jax.Array, wavelet: str) -> Bands:
-    return linear_call(lambda _, x: _analysis(x, wavelet), lambda _, y: _synthesis(y, wavelet), (), plane)
+    def pulled_back(_: None, bands: Bands) -> jax.Array:
+        half = len(SCALING[wavelet]) // 2 - 1
+        around = [(half, half)] * 2
+        return _synthesis(jax.tree.map(lambda x: jnp.pad(x, around), bands), wavelet)
+
+    return linear_call(lambda _, x: _analysis(x, wavelet), pulled_back, None, plane)
 
 
 def _up(bands: Bands, wavelet: str) -> jax.Array:
-    return linear_call(lambda _, x: _synthesis(x, wavelet), lambda _, y: _analysis(y, wavelet), (), bands)
+    def pulled_back(_: None, plane: jax.Array) -> Bands:
+        border = len(SCALING[wavelet]) - 2
+        return _analysis(jnp.pad(plane, border), wavelet)
+
+    return linear_call(lambda _, x: _synthesis(x, wavelet), pulled_back, None, bands)
 
 
 def _analysis(plane: jax.Array, wavelet: str) -> Bands:
@@ -105,16 +116,14 @@ def _down_axis(plane: jax.Array, axis: int, wavelet: str) -> tuple[jax.Array, ja
 
 
 def _up_axis(low: jax.Array, high: jax.Array, axis: int, wavelet: str) -> jax.Array:
-    """The transpose of `_down_axis`."""
+    """The transpose of `_down_axis`, without two less than the length of the filter at either end."""
     filters, half = _filters(wavelet), len(SCALING[wavelet]) // 2
-    count = low.shape[axis] + half - 1
-    widths = [(half - 1, half - 1) if a == axis else (0, 0) for a in range(2)]
-    padded = [jnp.pad(x, widths) for x in (low, high)]
+    count = low.shape[axis] - half + 1
 
     def phase(first: int) -> jax.Array:
         terms = [
             taps[2 * j + first] * lax.slice_in_dim(x, half - 1 - j, half - 1 - j + count, axis=axis)
-            for taps, x in zip(filters, padded)
+            for taps, x in zip(filters, (low, high))
             for j in range(half)
         ]
         return functools.reduce(jnp.add, terms)
