@@ -31,7 +31,7 @@ def _smooth_differences(passes: int, rgb: Planes) -> Planes:
     red, green, blue = rgb
 
     def median(both: jax.Array) -> jax.Array:  # at once: half the kernels
-        return materialize(jax.vmap(lambda plane: median_plane(plane, "3x3"))(both))
+        return jax.vmap(lambda plane: median_plane(plane, "3x3"))(both)
 
     differences = materialize(jnp.stack([red - green, blue - green]))
     for _ in range(passes):

@@ -33,13 +33,13 @@ def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
 
     Gradient: exact where the median is one pixel: it goes there. Pixels tied with it share it equally.
     """
-    return in_strips_on_cpu(MEDIANS[footprint][0], plane, _radius(footprint), large=_LARGE)
+    return materialize(in_strips_on_cpu(MEDIANS[footprint][0], plane, _radius(footprint), large=_LARGE))
 
 
 @median_plane.defjvp
 def _median_jvp(footprint: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (plane,), (change,) = primals, tangents
-    out = materialize(median_plane(plane, footprint))
+    out = median_plane(plane, footprint)
     return out, linear_call(
         partial(_tangent, footprint), partial(_cotangent, footprint), (plane, out), change
     )
@@ -64,7 +64,7 @@ def _collected(footprint: str, frame: Any) -> jax.Array:
     """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
     plane, out, cotangent, counts = frame
     equal = [value == out for value in _near(plane, footprint)]
-    share = materialize(counts * cotangent / _count(equal, out.dtype))
+    share, out = materialize((counts * cotangent / _count(equal, out.dtype), out))
     medians, shares = (_near(x, footprint) for x in (out, share))
     return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]) / counts
 
@@ -127,6 +127,6 @@ def median(
     for _ in range(iterations):
         for i, wanted in enumerate((luma, chroma, chroma)):
             if wanted:
-                filtered = materialize(median_plane(parts[i], footprint))
+                filtered = median_plane(parts[i], footprint)
                 parts[i] = parts[i] + params.strength * (filtered - parts[i])
     return interleaved(ycbcr_to_rgb_planes(*parts))
