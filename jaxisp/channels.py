@@ -9,29 +9,30 @@ import numpy as np
 from jax import lax
 
 from jaxisp.linear import linear_call
+from jaxisp.numerics import materialize
 
 
 def planes(image: jax.Array) -> tuple[jax.Array, ...]:
     """The channels of (H, W, C) as a tuple of (H, W)."""
-    return linear_call(lambda _, x: _split(x), lambda _, c: _interleaved(c), (), image)
-
-
-def _split(image: jax.Array) -> tuple[jax.Array, ...]:
+    # split, as the transpose of slices would pad each of them
     last = image.ndim - 1
     return tuple(lax.squeeze(p, (last,)) for p in lax.split(image, (1,) * image.shape[-1], axis=last))
 
 
 def interleaved(channels: Sequence[jax.Array]) -> jax.Array:
-    """(H, W, C) of C planes of (H, W): the inverse of `planes`.
+    """(H, W, C) of C planes of (H, W), stored: the inverse of `planes`.
 
     On a CPU each value is selected from those of all channels: XLA vectorises that, and not what joins them
-    along a last axis of 3, which takes twice as long.
+    along a last axis of 3, which takes twice as long. It has to be stored, as it would not vectorise either
+    what is reshaped after.
     """
-    return linear_call(lambda _, c: _interleaved(c), lambda _, image: _split(image), (), tuple(channels))
 
+    def joined(_: None, channels: tuple[jax.Array, ...]) -> jax.Array:
+        return lax.platform_dependent(
+            channels, cpu=lambda c: materialize(_selected(c)), default=lambda c: jnp.stack(c, axis=-1)
+        )
 
-def _interleaved(channels: tuple[jax.Array, ...]) -> jax.Array:
-    return lax.platform_dependent(channels, cpu=_selected, default=lambda c: jnp.stack(c, axis=-1))
+    return linear_call(joined, lambda _, image: planes(image), None, tuple(channels))
 
 
 def _selected(channels: tuple[jax.Array, ...]) -> jax.Array:

@@ -38,12 +38,13 @@ def test_gradients_go_to_the_own_channel(rng):
     np.testing.assert_array_equal(to_second, np.broadcast_to([0, 1, 0], image.shape))
 
 
-def test_gradients_are_selections_too(rng):
-    """Autodiff would pad each plane, or sum over the channels: up to ten times slower on a CPU."""
+def test_gradients_neither_pad_nor_sum(rng):
+    """As autodiff of slices and of selections would: up to ten times slower on a CPU."""
     image = jnp.asarray(rng.random((4, 6, 3)), jnp.float32)
-    loss = jax.grad(lambda v: sum(k * jnp.sin(p).sum() for k, p in enumerate(planes(interleaved(planes(v))))))
-    text = jax.jit(loss).lower(image).compile().as_text()
-    assert "concatenate(" not in text
+    apart = jax.grad(lambda v: sum(p.sum() * k for k, p in enumerate(planes(v))))
+    assert "concatenate" in (text := str(jax.make_jaxpr(apart)(image))) and "pad" not in text
+    together = jax.vjp(interleaved, planes(image))[1]
+    assert "split" in (text := str(jax.make_jaxpr(together)(image))) and "reduce_sum" not in text
 
 
 def test_per_plane_treats_channels_alike(rng):
