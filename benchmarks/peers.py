@@ -29,7 +29,7 @@ from benchmarks import start
 from benchmarks.case import Case, Peer
 from benchmarks.machine import limits, load, machine, set_threads
 from benchmarks.report import verdict, write_performance
-from benchmarks.timing import interleaved, seconds, summary
+from benchmarks.timing import WARM, interleaved, seconds, summary
 
 RESULTS = Path("benchmarks/results/peers.json")
 PAGE = Path("docs/results/performance.md")
@@ -104,7 +104,9 @@ def measure_family(
 ) -> dict[str, Any]:
     """The family's results; some of its cases are kept one by one, as making the others takes a while."""
     console.rule(name)
-    result: dict[str, Any] = {"load": [load()], "limits": limits(), "rows": [], "partly": bool(only)}
+    result: dict[str, Any] = {
+        "load": [load()], "limits": limits(), "warm_ms": round(1e3 * WARM), "rows": [], "partly": bool(only)
+    }  # fmt: skip
     try:
         for case in importlib.import_module(f"benchmarks.cases.{name}").cases():
             if only not in f"{case.stage}, {case.size}":

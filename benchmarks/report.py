@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import musts
+from benchmarks.timing import WARM
 
 INTRODUCTION = """# Performance{where}
 
 Made by `make bench`; the page alone by `python -m benchmarks.peers --render`.
 
 Calls take turns in one process after a warm-up; times are medians in ms, with the interquartile range
-in brackets. Each call runs for 20 ms before every sample of it, unless it takes over 0.3 s: the first
+in brackets. Each call runs for {warm} ms before every sample of it, unless it takes over 0.3 s: the first
 call after another library's took up to twice as long, as that one's threads wait busily. A batch is 32
 images of 80x80. *peer / ours* above 1 is faster than the peer; *goal* is the least such ratio aimed at.
 Outputs are compared before they are timed. The *floor* is the larger of bytes over the bandwidth of a
@@ -24,10 +25,10 @@ output.
 
 def write_performance(path: Path, peers: Path) -> None:
     """Write the page of `benchmarks.peers`, with what is known of the goals it misses."""
-    parts = [INTRODUCTION.format(where="")]
+    parts = [INTRODUCTION.format(where="", warm=round(1e3 * WARM))]
     if peers.exists():
         results = json.loads(peers.read_text())["families"]
-        parts = [INTRODUCTION.format(where=f" on {first_machine(results)}")]
+        parts = [INTRODUCTION.format(where=f" on {first_machine(results)}", warm=warm_up(results))]
         start = peers.with_name("start.json")
         began = json.loads(start.read_text()) if start.exists() else None
         parts += [tally(results), versions(results), asked_for(results, began), starts(began)]
@@ -42,6 +43,12 @@ def write_performance(path: Path, peers: Path) -> None:
 def first_machine(results: dict[str, Any]) -> str:
     machine = next(iter(results.values()))["machine"]
     return f"{machine['processor']}, {machine['cores']} cores"
+
+
+def warm_up(results: dict[str, Any]) -> str:
+    """ms, and more than one where families were not timed alike."""
+    times = {result.get("warm_ms", 20) for result in results.values()}  # 20 until it was kept
+    return " or ".join(map(str, sorted(times)))
 
 
 def verdict(peer: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from benchmarks.machine import set_threads
 
 SHORTEST = 5e-3
 """Seconds: shorter calls are repeated within a sample."""
-WARM = 20e-3
+WARM = 60e-3
 """Seconds for which a call runs before a sample of it."""
 LONG = 0.3
 """Seconds: what takes longer is not run before it is sampled."""
@@ -56,6 +56,8 @@ def sample(call: Callable[[], Any], expected: float, threads: int | None) -> flo
 
     Those wake the call's own threads, fill the caches with its data and outlast the threads of the call
     before, which wait busily for a while: the first call after another library's took up to twice as long.
+    And a Linux that was idle puts both threads of a call on one core, until it has seen them busy for some
+    tens of ms.
     """
     if threads is not None:
         set_threads(threads)
