@@ -23,8 +23,8 @@ def interleaved(channels: Sequence[jax.Array]) -> jax.Array:
     """(H, W, C) of C planes of (H, W), stored: the inverse of `planes`.
 
     On a CPU each value is selected from those of all channels: XLA vectorises that, and not what joins them
-    along a last axis of 3, which takes twice as long. It has to be stored, as it would not vectorise either
-    what is reshaped after.
+    along a last axis of 3, which takes two and a half times as long. It has to be stored, as it would not
+    vectorise either what is reshaped after.
     """
 
     def joined(_: None, channels: tuple[jax.Array, ...]) -> jax.Array:

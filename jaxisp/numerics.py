@@ -45,6 +45,7 @@ def _barrier(tree: Any) -> Any:
 
 
 def barrier_on_cpu(tree: Any) -> Any:
+    """Keep a CPU's compiler from moving what comes before into what comes after; it may fuse them yet."""
     return lax.platform_dependent(tree, cpu=_barrier, default=lambda v: v)
 
 

@@ -18,7 +18,7 @@ from jaxisp.linear import inner_product, linear_call, total
 from jaxisp.numerics import barrier_on_cpu, safe_divide, store
 
 Margin = int | tuple[int, int]
-_NARROW = 256  # px
+_NARROW = 256  # px: beyond, a frame is wide
 _MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 

@@ -21,14 +21,20 @@ from jaxisp.windows import (
 
 @pytest.mark.parametrize("mode", ["reflect", "symmetric", "edge", "constant"])
 @pytest.mark.parametrize(
-    "shape, radius", [((11, 8), (2, 1)), ((2, 3), (3, 4)), ((5, _NARROW + 1), (2, 1)), ((6, 4, 3), (3, 0))]
-)
-def test_pad_is_numpys_and_its_gradient_that_of_the_plain_form(shape, radius, mode, rng, x64):
-    x, width = rng.standard_normal(shape), [(r, r) for r in radius] + [(0, 0)] * (len(shape) - 2)
+    "shape, radius",
+    [
+        ((11, 8), (2, 1)), ((2, 3), (3, 4)), ((5, _NARROW + 1), (2, 1)), ((6, 4, 3), (3, 0)),
+        ((7, 5), ((2, 3), (0, 1))), ((4, _NARROW + 1), ((1, 0), (2, 3))),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("whole", [False, True])
+def test_pad_is_numpys_and_its_gradient_that_of_the_plain_form(shape, radius, mode, whole, rng, x64):
+    margins = [(r, r) if isinstance(r, int) else r for r in radius]
+    x, width = rng.standard_normal(shape), margins + [(0, 0)] * (len(shape) - 2)
     want = np.pad(x, width, mode=mode)
-    np.testing.assert_array_equal(jax.jit(lambda v: pad(v, radius, mode))(x), want)
+    np.testing.assert_array_equal(jax.jit(lambda v: pad(v, radius, mode, whole=whole))(x), want)
     weights = rng.standard_normal(want.shape)
-    got = jax.grad(lambda v: jnp.sum(weights * pad(v, radius, mode)))(x)
+    got = jax.grad(lambda v: jnp.sum(weights * pad(v, radius, mode, whole=whole)))(x)
     plain = jax.grad(lambda v: jnp.sum(weights * jnp.pad(v, width, mode=mode)))(x)
     np.testing.assert_allclose(got, plain, rtol=1e-12)
 
@@ -104,4 +110,5 @@ def test_views_move_the_right_way(rng):
     np.testing.assert_array_equal(padded, np.pad(x, 1, mode="reflect"))
     for (dy, dx), view in zip(square(1), views(padded, square(1), 1)):
         assert view[2, 3] == x[2 + dy, 3 + dx]
-    assert pad(x[:1], 2).shape == (5, 11)
+    single = np.pad(np.repeat(x[:1], 5, axis=0), ((0, 0), (2, 2)), mode="reflect")
+    np.testing.assert_array_equal(pad(x[:1], 2), single)  # a row alone is repeated, its columns reflected

@@ -63,4 +63,5 @@ def color_difference_median(image: CameraRGB, *, passes: int = 1) -> CameraRGB:
 
     Source: Hirakawa & Parks 2005, interpolation artifact reduction; Freeman 1988, US patent 4724395.
     """
-    return interleaved(smooth_differences(planes(image), passes))  # type: ignore[arg-type]
+    red, green, blue = planes(image)
+    return interleaved(smooth_differences((red, green, blue), passes))
