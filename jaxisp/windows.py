@@ -15,7 +15,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import inner_product, linear_call, total
-from jaxisp.numerics import barrier_on_cpu, safe_divide, store
+from jaxisp.numerics import barrier_on_cpu, materialize, safe_divide, store
 
 Margin = int | tuple[int, int]
 _NARROW = 256  # px: beyond, a frame is wide
@@ -191,7 +191,8 @@ def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
     parts = [reduce(lax.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
     shape = list(padded.shape)
     shape[axis] -= count - 1
-    return reduce(lambda total, part: store(total) + part, parts).reshape(shape)
+    summed = reduce(lambda total, part: store(total) + part, parts)
+    return summed if summed.shape == tuple(shape) else materialize(summed).reshape(shape)
 
 
 def gaussian_taps(sigma: Any, radius: int) -> jax.Array:
