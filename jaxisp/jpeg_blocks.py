@@ -7,14 +7,14 @@ transform along columns, which needs more, is int32.
 import functools
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.numerics import nearest_int
+from jaxisp.numerics import materialize, nearest_int
 
 
 def fixed(value: float, bits: int = 16) -> int:
@@ -108,11 +108,11 @@ def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
     return lax.reduce(jnp.expand_dims(x, axis + 1) * weights, np.zeros((), x.dtype), lax.add, (axis,))
 
 
-def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int) -> jax.Array:
-    """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded."""
+def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int, dtype: Any) -> jax.Array:
+    """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded, as `dtype`."""
 
     def rounded(x: jax.Array) -> jax.Array:
-        return (x + (1 << (bits - 1))) >> bits
+        return ((x + (1 << (bits - 1))) >> bits).astype(dtype)
 
     def line_by_line(blocks: jax.Array) -> jax.Array:
         lines = fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)])
@@ -129,45 +129,72 @@ def _by_block(blocks: jax.Array) -> jax.Array:
     return blocks.reshape(rows, 8, width // 8, 8)
 
 
-def _quantize(blocks: jax.Array, table: jax.Array) -> tuple[jax.Array, jax.Array]:
+class _Steps(NamedTuple):
+    """What the quantiser needs of its tables, each (R, 8, 1, 8): the step q, 4 q + 1/2 and 1 / (8 q)."""
+
+    step: jax.Array
+    half: jax.Array
+    inverse: jax.Array
+
+    @classmethod
+    def of(cls, tables: jax.Array, first: int, rows: int) -> "_Steps":
+        # computed once for a table: of each row's own a CPU would divide for each coefficient
+        each = materialize((tables, 4 * tables + 0.5, 1 / (8 * tables)))
+        return cls(*(_of_rows(values, first, rows) for values in each))
+
+
+def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
+    """(rows, 8, 1, 8) from two tables: the first for so many rows of blocks, the second for the rest."""
+    is_first = (np.arange(rows) < first)[:, None, None, None]
+    return jnp.where(is_first, tables[0, :, None], tables[1, :, None])
+
+
+def _quantize(blocks: jax.Array, steps: _Steps) -> tuple[jax.Array, jax.Array]:
     """The forward DCT: coefficients times 8 and whole-numbered levels, (R, 8, W / 8, 8), in floats."""
     lines = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
-    scaled = _by_block(_columns(_forward_1d, lines, 15)).astype(blocks.dtype)
-    step = table[:, :, None]
+    scaled = _by_block(_columns(_forward_1d, lines, 15, blocks.dtype))
     # rounds half away from zero; the extra half keeps floor() clear of the division's own rounding
-    level = jnp.floor((jnp.abs(scaled) + 4 * step + 0.5) * (1 / (8 * step)))
+    level = jnp.floor((jnp.abs(scaled) + steps.half) * steps.inverse)
     return scaled, jnp.where(scaled < 0, -level, level)
 
 
-@jax.custom_jvp
-def through_blocks(blocks: jax.Array, table: jax.Array) -> jax.Array:
-    """Code and decode rows of blocks, (R, 8, W), with a whole-numbered table for each row, (R, 8, 8).
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def through_blocks(blocks: jax.Array, tables: jax.Array, first: int) -> jax.Array:
+    """Code and decode rows of blocks, (R, 8, W), with one of two whole-numbered tables.
+
+    Args:
+        blocks: whole numbers in 0..255.
+        tables: (2, 8, 8) whole numbers in 1..255.
+        first: how many rows of blocks go by the first table; the others go by the second.
 
     Gradient: surrogate. The samples pass straight through. A table entry q has the derivative
     `round(t) - t s'(t)`, t = c / q, of a staircase with soft edges, `s' = 128/35 sin(pi t)**8`: how far
     each level moves, and which coefficients are about to drop one. (With `s' = 1`, straight through,
     a fitter is driven towards finer tables wherever it starts.)
     """
-    return _dequantize(_quantize(blocks, table)[1], table)
+    steps = _Steps.of(tables, first, len(blocks))
+    return _dequantize(_quantize(blocks, steps)[1], steps)
 
 
-def _dequantize(level: jax.Array, table: jax.Array) -> jax.Array:
-    restored = nearest_int(level * table[:, :, None])
+def _dequantize(level: jax.Array, steps: _Steps) -> jax.Array:
+    restored = nearest_int(level * steps.step)
     restored = restored.reshape(*restored.shape[:2], -1)
-    lines = _columns(_inverse_1d, restored, 11).astype(level.dtype)
-    return jnp.clip(_rows_inverse(lines) + 128, 0, 255)
+    return jnp.clip(_rows_inverse(_columns(_inverse_1d, restored, 11, level.dtype)) + 128, 0, 255)
 
 
-@through_blocks.defjvp
-def _through_blocks_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
-    (blocks, table), (d_blocks, d_table) = primals, tangents
-    scaled, level = _quantize(blocks, table)
-    t = scaled / (8 * table[:, :, None])
+def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    (blocks, tables), (d_blocks, d_tables) = primals, tangents
+    steps = _Steps.of(tables, first, len(blocks))
+    scaled, level = _quantize(blocks, steps)
+    t = scaled * steps.inverse
     slope = level - t * (128 / 35) * _sine(t) ** 8
     basis = _basis().astype(blocks.dtype)
-    moved = d_table[:, :, None] * slope
+    moved = _of_rows(d_tables, first, len(blocks)) * slope
     change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
-    return _dequantize(level, table), d_blocks + change.reshape(blocks.shape)
+    return _dequantize(level, steps), d_blocks + change.reshape(blocks.shape)
+
+
+through_blocks.defjvp(_through_blocks_jvp)
 
 
 _SINE = (3.141592654, -5.167712765, 2.550163318, -0.5992521865, 0.08205035015, -0.00702830379)

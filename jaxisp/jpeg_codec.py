@@ -8,7 +8,6 @@ a smooth surrogate for the gradient.
 import functools
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,7 @@ from jax import lax
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.jpeg_blocks import fixed, shifted, through_blocks
 from jaxisp.linear import linear_call
-from jaxisp.numerics import straight_through
+from jaxisp.numerics import materialize, straight_through
 
 SAMPLING = {"4:4:4": (1, 1), "4:2:2": (1, 2), "4:2:0": (2, 2)}
 """Luma samples per chroma sample, (vertical, horizontal)."""
@@ -55,8 +54,29 @@ def ycbcr_to_rgb(y: jax.Array, cb: jax.Array, cr: jax.Array) -> Planes:
     return r, g, b
 
 
-def _pad_end(plane: jax.Array, rows: int, columns: int) -> jax.Array:
-    return jnp.pad(plane, ((0, rows), (0, columns)), mode="edge") if rows or columns else plane
+# Columns are repeated by selection, as XLA's CPU code takes two to three times as long to join them.
+
+
+def _lower(plane: jax.Array, rows: int) -> jax.Array:
+    """With the last row repeated below so many times."""
+    return jnp.pad(plane, ((0, rows), (0, 0)), mode="edge") if rows else plane
+
+
+def _wider(plane: jax.Array, last: jax.Array, columns: int) -> jax.Array:
+    """With a column, (H, 1), so many times on the right."""
+    if not columns:
+        return plane
+    width = plane.shape[1]
+
+    def joined(_: None, parts: tuple[jax.Array, jax.Array]) -> jax.Array:
+        plane, last = parts
+        wide = jnp.pad(plane, ((0, 0), (0, columns)))
+        return jnp.where(np.arange(width + columns) < width, wide, last)
+
+    def split(_: None, wide: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return wide[:, :width], wide[:, width:].sum(1, keepdims=True)
+
+    return linear_call(joined, split, None, (plane, last))
 
 
 def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
@@ -67,26 +87,32 @@ def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
     sy, sx = step
     height, width = plane.shape
     rows, columns = -(-height // sy), -(-width // (8 * sx)) * 8
-    plane = _pad_end(plane, rows * sy - height, columns * sx - width)
+    plane = _lower(plane, rows * sy - height)
+    # the sums of the padding, in which the plane's last column stands sx times
+    last, whole = sx * _sums(plane[:, -1:], (sy, 1)), width // sx
+    total = _wider(_sums(plane[:, : whole * sx], step), last, columns - whole)
     if step != (1, 1):
         bias = np.arange(columns) % 2 + (1 if sy == 2 else 0)
-        total = linear_call(partial(_box_sums, step), partial(_repeated, step), (), plane)
         hard = shifted(total + bias.astype(plane.dtype), sy * sx // 2)
-        plane = straight_through(hard, total / (sy * sx))
-    return _pad_end(plane, -rows % 8, 0)
+        total = straight_through(hard, total / (sy * sx))
+    return _lower(total, -rows % 8)
 
 
 # Sampling is linear but for its rounding. The transposes are written as reads: autodiff would pad each slice.
 
 
-def _box_sums(step: tuple[int, int], _: Any, plane: jax.Array) -> jax.Array:
+def _sums(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
+    return linear_call(partial(_box_sums, step), partial(_repeated, step), None, plane)
+
+
+def _box_sums(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
     sy, sx = step
     return functools.reduce(jnp.add, [plane[i::sy, j::sx] for i in range(sy) for j in range(sx)])
 
 
-def _repeated(step: tuple[int, int], _: Any, plane: jax.Array) -> jax.Array:
+def _repeated(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
     for axis, count in enumerate(step):
-        plane = _interleave(plane, plane, axis) if count == 2 else plane
+        plane = _interleaved(plane, plane, axis) if count == 2 else plane
     return plane
 
 
@@ -98,24 +124,31 @@ def upsample(plane: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) ->
         return plane
     if plane.shape[1] <= 2:
         return jnp.repeat(jnp.repeat(plane, sy, 0), sx, 1)[: shape[0], : shape[1]]
-    total = linear_call(partial(_triangles, step), partial(_triangles_transposed, step), (), plane)
+    total = linear_call(partial(_triangles, step), partial(_triangles_transposed, step), None, plane)
     (even, odd), bits = ((8, 7), 4) if sy == 2 else ((1, 2), 2)
     bias = np.where(np.arange(total.shape[1]) % 2, odd, even).astype(plane.dtype)
     return straight_through(shifted(total + bias, bits), total / 2**bits)[: shape[0], : shape[1]]
 
 
-def _triangles(step: tuple[int, int], _: Any, plane: jax.Array) -> jax.Array:
-    """3 of the nearer and 1 of the farther sample along each axis that is doubled."""
-    for axis, count in enumerate(step):
-        if count == 2:
-            near = jnp.pad(plane, [(1, 1) if a == axis else (0, 0) for a in range(2)], mode="edge")
-            n = plane.shape[axis]
-            before, after = (lax.slice_in_dim(near, start, start + n, axis=axis) for start in (0, 2))
-            plane = _interleave(3 * plane + before, 3 * plane + after, axis)
+def _triangles(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
+    """3 of the nearer and 1 of the farther sample along each axis that is doubled, the cheaper one last."""
+    for axis in (1, 0):
+        if step[axis] == 2:
+            plane = materialize(plane)
+            before, after = (3 * plane + _moved(plane, by, axis) for by in (1, -1))
+            plane = _interleaved(before, after, axis)
     return plane
 
 
-def _triangles_transposed(step: tuple[int, int], _: Any, plane: jax.Array) -> jax.Array:
+def _moved(plane: jax.Array, by: int, axis: int) -> jax.Array:
+    """By one place forwards or backwards; the end that is left stays as it was."""
+    index = lax.broadcasted_iota(jnp.int32, plane.shape, axis)
+    end = 0 if by > 0 else plane.shape[axis] - 1
+    pads = [(by, -by, 0) if a == axis else (0, 0, 0) for a in range(2)]
+    return jnp.where(index == end, plane, lax.pad(plane, np.zeros((), plane.dtype), pads))
+
+
+def _triangles_transposed(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
     for axis, count in enumerate(step):
         if count == 2:
             near = jnp.pad(plane, [(1, 1) if a == axis else (0, 0) for a in range(2)], mode="edge")
@@ -125,10 +158,11 @@ def _triangles_transposed(step: tuple[int, int], _: Any, plane: jax.Array) -> ja
     return plane
 
 
-def _interleave(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
+def _interleaved(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
     shape = list(a.shape)
     shape[axis] *= 2
-    return jnp.stack([a, b], axis + 1).reshape(shape)
+    # stored, as a CPU's code would not be vectorised for the shape that comes next
+    return materialize(jnp.stack([a, b], axis + 1)).reshape(shape)
 
 
 def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsampling: str) -> Planes:
@@ -161,7 +195,7 @@ def compress_full_or_half(
     def pack(cb: jax.Array, cr: jax.Array) -> jax.Array:
         few, many = _pack(cb, cr, half), _pack(cb, cr, whole)
         few = jnp.pad(few, ((0, len(many) - len(few)), (0, 0)))
-        return jnp.where(full, _pad_end(many, 0, few.shape[1] - many.shape[1]), few)
+        return jnp.where(full, _wider(many, many[:, -1:], few.shape[1] - many.shape[1]), few)
 
     def unpack(coded: jax.Array) -> list[jax.Array]:
         many, few = _unpack(coded, shape, whole), _unpack(coded[:rows], shape, half)
@@ -187,14 +221,14 @@ def _compress(
     unpack: Callable[[jax.Array], Sequence[jax.Array]],
 ) -> Planes:
     shape = rgb[0].shape
-    y, cb, cr = rgb_to_ycbcr(rgb)
+    y, cb, cr = materialize(rgb_to_ycbcr(rgb))
     chroma = pack(cb, cr)
     y = downsample(y, (1, 1))
-    y = _pad_end(y, 0, chroma.shape[1] - y.shape[1])
+    y = _wider(y, y[:, -1:], chroma.shape[1] - y.shape[1])
     blocks = jnp.concatenate([y, chroma]).reshape(-1, 8, chroma.shape[1])
-    is_luma = (np.arange(len(blocks)) < len(y) // 8)[:, None, None]
-    tables = jnp.where(is_luma, luma_table, chroma_table)
-    coded = through_blocks(lax.optimization_barrier(blocks), tables).reshape(-1, blocks.shape[2])
+    tables = jnp.stack([luma_table, chroma_table])
+    coded = through_blocks(lax.optimization_barrier(blocks), tables, len(y) // 8)
+    coded = coded.reshape(-1, blocks.shape[2])
     y = coded[: shape[0], : shape[1]]
     cb, cr = unpack(coded[-len(chroma) :])
     return ycbcr_to_rgb(*lax.optimization_barrier((y, cb, cr)))  # or each colour upsamples for itself

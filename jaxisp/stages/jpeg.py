@@ -10,7 +10,7 @@ from jaxisp.channels import interleaved, planes
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
-from jaxisp.numerics import clip_through, materialize, round_through, straight_through
+from jaxisp.numerics import clip_through, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -193,8 +193,8 @@ def _levels(image: jax.Array) -> Planes:
     """The planes in 8 bits, 0 for NaN, in a type that holds the sums: float16 does not."""
     exact = jnp.promote_types(image.dtype, jnp.float32)
     known = (jnp.where(jnp.isnan(p), 0, p) for p in planes(image))
-    whole = tuple(round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in known)
-    return materialize(whole)  # or the gradient of all three would be computed for each
+    red, green, blue = (round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in known)
+    return red, green, blue
 
 
 def _stacked(coded: Iterable[jax.Array], image: jax.Array) -> jax.Array:
