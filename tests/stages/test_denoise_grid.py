@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.recipes import BILATERAL, RECIPES
+from jaxisp.stages.denoise import grid
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane
 from jaxisp.stages.denoise.grid import grid_planes
 from tests.conftest import smooth_image
@@ -133,8 +134,9 @@ def test_total(shape, rng):
             assert all(np.isfinite(s).all() for s in jax.tree.leaves(slopes))
 
 
-@pytest.mark.parametrize("shape, cell", [((7, 10), 4), ((7, 8), 2)])
-def test_gradient_in_both_modes_equals_finite_differences(shape, cell, rng, x64):
+@pytest.mark.parametrize("shape, cell, large", [((7, 10), 4, 70), ((7, 8), 2, 70), ((7, 10), 4, 69)])
+def test_gradient_in_both_modes_equals_finite_differences(shape, cell, large, rng, x64, monkeypatch):
+    monkeypatch.setattr(grid, "_LARGE", large)
     a, b, guide, weights = rng.uniform(-0.5, 1.5, (4, *shape))
     arguments = (a, b), guide, np.array(4.0), np.array(0.9)
     turn = jax.tree.map(lambda x: rng.standard_normal(np.shape(x)), arguments)
@@ -180,6 +182,16 @@ def test_batch_with_its_own_widths_equals_one_by_one():
         alone = filtered(tuple(p[i] for p in planes), lumas[i], widths[0][i], widths[1][i], 4, 4)
         for t, a in zip(together, alone):
             np.testing.assert_allclose(t[i], a, atol=2e-6)
+
+
+def test_planes_of_a_large_frame_go_one_by_one(monkeypatch):
+    luma, chroma = scene(SHAPE, 0.02)
+    together = filtered(chroma, luma, 15.0, 0.05, 4, 8)
+    monkeypatch.setattr(grid, "_LARGE", 0)
+    one_by_one = jax.jit(jax.vmap(partial(grid_planes, cell=4, bins=8)))
+    alone = one_by_one([c[None] for c in chroma], luma[None], jnp.full(1, 15.0), jnp.full(1, 0.05))
+    for a, t in zip(alone, together):
+        np.testing.assert_allclose(a[0], t, atol=2e-6)
 
 
 @pytest.mark.parametrize("option", [{"chroma_cell": 3}, {"chroma_cell": -2}, {"chroma_bins": 1}])

@@ -5,6 +5,7 @@ pixel reads it back at its own place and guide value. Tents stand for the bins, 
 is dense: no gather, no scatter. Elsewhere the grid is read by gathers.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,10 +16,11 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import fused_sum, linear_call, scaled
-from jaxisp.numerics import store, store_off_cpu
+from jaxisp.numerics import on_all_cores, store, store_off_cpu, straight_through
 
 Planes = tuple[jax.Array, ...]
 
+_LARGE = 1 << 18  # px: beyond, a CPU takes longer to get the memory for all planes than to filter them
 _MOST_TERMS = 32  # in one fused kernel
 _UNROLLED = 8  # terms of a sum along an axis: more become a loop, which is 5 times slower
 _times = partial(jnp.matmul, precision=lax.Precision.HIGHEST)  # a GPU would round to 10 bits
@@ -57,11 +59,35 @@ def grid_planes(
     # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
     by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
     by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
-    # stored as it is: with the shape that the blur wants it would be 8 times slower
-    grid = store(_splat(u, values, bins))
-    grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
-    weight, *sums = _sliced(u, grid, cell, -(-width // cell) + 2)
+
+    def filtered(u: jax.Array, values: jax.Array) -> jax.Array:
+        # stored as it is: with the shape that the blur wants it would be 8 times slower
+        grid = store(_splat(u, values, bins))
+        grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
+        return _sliced(u, grid, cell, -(-width // cell) + 2)
+
+    large = height * width > _LARGE
+    weight, *sums = _one_by_one_on_cpu(filtered, u, values) if large else filtered(u, values)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
+
+
+def _one_by_one_on_cpu(
+    fn: Callable[[jax.Array, jax.Array], jax.Array], u: jax.Array, values: jax.Array
+) -> jax.Array:
+    """`fn(u, values)`, plane by plane of the values on a CPU: in half of the memory."""
+
+    def each(u: jax.Array, values: jax.Array) -> jax.Array:
+        def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
+            index, plane = item
+            # u too by the loop's index, or its tents would be stored before the loop; the plane stored,
+            # or whatever reads it would work out where it is
+            bound = lax.optimization_barrier((u, store(plane), on_all_cores(index)))
+            own_u, own = (straight_through(b, x) for b, x in zip(bound, (u, plane)))
+            return fn(own_u, own[None])[0]
+
+        return lax.map(one, (jnp.arange(len(values)), values))
+
+    return lax.platform_dependent(u, values, cpu=each, default=fn)
 
 
 # A plane is held as (cell**2, L): where in its cell, quadrant by quadrant, then the cells row by row. Each
