@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
+from benchmarks.torch_peer import left, on_device
 from jaxisp.camera import develop, standard_camera
 from jaxisp.io import read_raw
 from jaxisp.io.dng import write_dng
@@ -86,13 +87,13 @@ def chain_case(chain: Chain, size: str, images: np.ndarray) -> Case:
         """A value for each image, as in training."""
         return jnp.full((len(images), *np.shape(value)), value, jnp.float32)
 
-    params, on_device = jax.tree.map(each, chain.init() | PARAMS), jnp.asarray(images)
+    params, pictures = jax.tree.map(each, chain.init() | PARAMS), jnp.asarray(images)
     return Case(
         "chain of nine stages",
         size,
-        lambda: run_batch(chain, params, on_device, KEY),
+        lambda: run_batch(chain, params, pictures, KEY),
         tuple(chain_peers(images)),
-        gradient_of(chain, params, on_device),
+        gradient_of(chain, params, pictures),
         bytes_moved=2 * images.nbytes,
         notes="mosaic, noise, Hibbard, bilateral r2, median 3x3, gamma, saturation, unsharp mask, JPEG; "
         "peers: their nearest calls, so that outputs differ by algorithm and by noise",
@@ -166,19 +167,19 @@ def opencv_photograph(mosaic: np.ndarray) -> np.ndarray:
     return cv2.addWeighted(rgb, 1 + AMOUNT, blurred, -AMOUNT, 0)
 
 
-def kornia_chain(images: np.ndarray) -> Callable[[], np.ndarray]:
+def kornia_chain(images: np.ndarray) -> Callable[[], Any]:
     """The chain by kornia's calls, on the whole batch; its demosaicking is bilinear, its JPEG inexact."""
     import kornia
     import torch
 
-    x = torch.from_numpy(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
-    rows, columns = (torch.arange(n)[:, None] % 2 for n in x.shape[2:])
-    colour = rows + columns.T  # red, green, green, blue
-    masks = torch.stack([colour == c for c in range(3)]).float()
-    mix = SATURATION * torch.eye(3) + (1 - SATURATION) * torch.from_numpy(LUMA)[None]
-    quality = torch.tensor([float(QUALITY)])
+    x = on_device(images.transpose(0, 3, 1, 2))
+    rows, columns = (np.arange(n) % 2 for n in x.shape[2:])
+    colour = rows[:, None] + columns  # red, green, green, blue
+    masks = on_device(np.float32([colour == c for c in range(3)]))
+    mix = on_device(SATURATION * np.eye(3, dtype=np.float32) + np.float32(1 - SATURATION) * LUMA)
+    quality = on_device(np.float32([QUALITY]))
 
-    def call() -> np.ndarray:
+    def call() -> Any:
         with torch.inference_mode():
             mosaic = (x * masks).sum(1, keepdim=True)
             noisy = (mosaic + NOISE * torch.randn_like(mosaic)).clamp(0, 1)
@@ -189,7 +190,8 @@ def kornia_chain(images: np.ndarray) -> Callable[[], np.ndarray]:
             rgb = torch.einsum("ij,njhw->nihw", mix, rgb)
             blurred = kornia.filters.gaussian_blur2d(rgb, (2 * BLUR_RADIUS + 1,) * 2, (BLUR, BLUR))
             sharp = (rgb + AMOUNT * (rgb - blurred)).clamp(0, 1)
-            return kornia.enhance.jpeg_codec_differentiable(sharp, quality).numpy().transpose(0, 2, 3, 1)
+            coded = kornia.enhance.jpeg_codec_differentiable(sharp, quality)
+            return left(coded.permute(0, 2, 3, 1))
 
     return call
 
@@ -258,12 +260,12 @@ def large_chain() -> Case:
     """The chain without noise, which would be drawn for the whole frame, and without the encoder."""
     chain = Chain(tuple(n for n in NODES if n.name not in ("mosaic", "gaussian_noise", "jpeg")), "chain")
     mosaic = mosaicked(linear(3024, 4032))
-    on_device = jnp.asarray(mosaic)
+    frame = jnp.asarray(mosaic)
     params = chain.init() | {n: p for n, p in PARAMS.items() if n in chain.init()}
     return Case(
         "chain of six stages in strips",
         "12 MP",
-        lambda: run_in_strips(chain, params, on_device),
+        lambda: run_in_strips(chain, params, frame),
         (Peer("OpenCV, its own threads", lambda: opencv_photograph(mosaic), 1 / 0.75, agreement),),
         bytes_moved=4 * mosaic.nbytes,
         notes="Hibbard, bilateral r2, median 3x3, gamma, saturation, unsharp mask",

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
+from benchmarks.torch_peer import left, on_device
 from jaxisp.cfa import masks, select
 from jaxisp.io.dng import write_dng
 from jaxisp.pipeline import run_batch, stage
@@ -124,11 +125,11 @@ def kornia(mosaics: np.ndarray) -> Iterator[Peer]:
         from kornia.color import CFA, raw_to_rgb
     except ImportError:
         return
-    x = torch.from_numpy(mosaics[:, None])
+    x = on_device(mosaics[:, None])
 
-    def call() -> np.ndarray:
+    def call() -> Any:
         with torch.no_grad():
-            return raw_to_rgb(x, CFA.BG).permute(0, 2, 3, 1).numpy()
+            return left(raw_to_rgb(x, CFA.BG).permute(0, 2, 3, 1))
 
     yield Peer("kornia, raw_to_rgb", call, None, inside(2))
 

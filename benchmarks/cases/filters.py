@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
+from benchmarks.torch_peer import left, on_device
 from jaxisp.pipeline import run_batch, stage
 from jaxisp.samples import scene
 from jaxisp.stages.blur import OpticalBlur
@@ -245,13 +246,13 @@ def kornia_peer(images: np.ndarray, call: Callable[[Any, Any], Any], goal: float
         from kornia import filters
     except ImportError:
         return
-    x = torch.from_numpy(np.moveaxis(images, -1, 1).copy())
+    x = on_device(np.moveaxis(images, -1, 1))
 
-    def run() -> np.ndarray:
+    def run() -> Any:
         with torch.inference_mode():
-            return call(filters, x).numpy()
+            return left(call(filters, x).permute(0, 2, 3, 1))
 
-    yield Peer("kornia", run, goal, lambda ours, theirs: equal(ours, np.moveaxis(theirs, 1, -1)))
+    yield Peer("kornia", run, goal, equal)
 
 
 def equal(ours: Any, theirs: Any) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.case import Case, Peer
+from benchmarks.torch_peer import left, on_device
 from jaxisp.pipeline import run_batch, stage
 from jaxisp.samples import scene
 from jaxisp.stages.jpeg import Jpeg
@@ -21,10 +22,14 @@ FLOPS_PER_PIXEL = 30 + 10 + 1.5 * (4 * 40 / 8 + 6)
 
 
 def cases() -> Iterator[Case]:
-    whole = photograph(1000, 1000)
-    patches = [whole[y : y + 80, x : x + 80] for y in range(0, 320, 80) for x in range(0, 640, 80)]
-    for size, pictures in (("batch", np.stack(patches)), ("1 MP", whole[None])):
+    for size, pictures in (("batch", patches()), ("1 MP", photograph(1000, 1000)[None])):
         yield case(size, pictures)
+
+
+def patches() -> np.ndarray:
+    """(32, 80, 80, 3) of 8 bits."""
+    whole = photograph(1000, 1000)
+    return np.stack([whole[y : y + 80, x : x + 80] for y in range(0, 320, 80) for x in range(0, 640, 80)])
 
 
 def photograph(rows: int, columns: int) -> np.ndarray:
@@ -85,18 +90,17 @@ def opencv(pictures: np.ndarray) -> Callable[[], np.ndarray] | None:
     return run
 
 
-def kornia(pictures: np.ndarray) -> Callable[[], np.ndarray] | None:
+def kornia(pictures: np.ndarray) -> Callable[[], Any] | None:
     try:
         import torch
         from kornia.enhance import jpeg_codec_differentiable
     except ImportError:
         return None
-    images = torch.from_numpy(np.moveaxis(pictures / np.float32(255), -1, 1).copy())
-    quality = torch.full((len(images),), float(QUALITY))
+    images = on_device(np.moveaxis(pictures / np.float32(255), -1, 1))
+    quality = on_device(np.full(len(images), QUALITY, np.float32))
 
-    def run() -> np.ndarray:
+    def run() -> Any:
         with torch.no_grad():
-            coded = jpeg_codec_differentiable(images, quality)
-        return 255 * np.moveaxis(coded.numpy(), 1, -1)
+            return left(255 * jpeg_codec_differentiable(images, quality).permute(0, 2, 3, 1))
 
     return run

@@ -3,9 +3,11 @@
 import json
 
 import jax
+import numpy as np
 import pytest
 
 from benchmarks import accelerator
+from benchmarks.case import Case, Peer
 
 
 def run(monkeypatch, *options):
@@ -26,6 +28,34 @@ def test_what_is_printed_is_kept(tmp_path, monkeypatch, capsys):
         assert row["rounds"] == accelerator.LEAST_ROUNDS and row["first_call_s"] > row["ms"] / 1e3 > 0
         least, most = (row["ms"] / (row["floor_ms"] + by) for by in (5e-5, -5e-5))  # it is rounded
         assert least - 0.1 <= row["times_floor"] <= most + 0.1
+
+
+def test_stages_and_their_kernels(tmp_path, monkeypatch, capsys):
+    stages = "--recipes", "--no-frame", "--stages", "2", "--only", "JPEG", "--kernels"
+    run(monkeypatch, *stages, "--seconds", "0", "--json", "--out", str(tmp_path / "results.json"))
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert (row["what"], row["images"]) == ("JPEG 4:2:0", 2)
+    assert row["kernels_ms"] == pytest.approx(sum(k["ms"] for k in row["kernels"]), abs=1e-3)
+    assert all(k["ms"] >= 0 and k["times"] > 0 for k in row["kernels"]) and len(row["kernels"]) > 5
+
+
+def test_a_peer_on_the_same_device(capsys):
+    """kornia is not installed here: NumPy stands for it, and one that fails is told in a line."""
+    how = accelerator.How(0.0, False)
+    ours = lambda: jax.numpy.arange(4.0)  # noqa: E731
+    agrees = lambda a, b: f"{np.abs(np.asarray(a) - b).max():.1f} apart"  # noqa: E731
+    case = Case("a stage", "batch", ours, (Peer("kornia", lambda: np.arange(4.0), None, agrees),))
+    entry = accelerator.against(case, case.peers[0], 2.0, how)
+    assert entry["outputs"] == "0.0 apart" and entry["ratio"] == pytest.approx(entry["ms"] / 2, abs=0.01)
+
+    def fails():
+        raise ValueError("no such card\nand more")
+
+    entry = accelerator.against(case, Peer("kornia", fails), 2.0, how)
+    assert entry == {"name": "kornia", "error": "ValueError: no such card"}
+    row = {"what": "a stage", "images": 4, "first_call_s": 1.0} | accelerator.timed(ours, 0.0)
+    told = accelerator.line(row | {"times_floor": 3.0, "peers": [entry]})
+    assert "kornia: ValueError: no such card" in told
 
 
 def test_an_unknown_recipe_is_one_line(monkeypatch, capsys):
