@@ -66,9 +66,15 @@ def _joined(plane: jax.Array, widths: Sequence[tuple[int, int]], mode: str) -> j
 
 def _rows(plane: jax.Array, width: tuple[int, int], mode: str) -> jax.Array:
     height = len(plane)
-    place = np.pad(np.arange(height, dtype=np.int32), width, mode=_of_size(height, mode))
-    found = jnp.take(plane.reshape(height, -1), place, axis=0, mode="clip")
-    return found.reshape(len(place), *plane.shape[1:])
+    found = _at_places(plane.reshape(height, -1), width, 0, mode)
+    return found.reshape(len(found), *plane.shape[1:])
+
+
+def _at_places(plane: jax.Array, width: tuple[int, int], axis: int, mode: str) -> jax.Array:
+    """Padded along an axis, each place looked up."""
+    size = plane.shape[axis]
+    place = np.pad(np.arange(size, dtype=np.int32), width, mode=_of_size(size, mode))
+    return jnp.take(plane, place, axis=axis, mode="clip")
 
 
 def _of_size(size: int, mode: str) -> Any:
@@ -126,7 +132,17 @@ def filter_rows_columns(
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _filter(image: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.Array:
     """`y[i] = sum_k taps[k] x[i + k - r]` along an axis."""
-    return _weighted(_padded(image, taps.shape[0] // 2, axis, mode), taps, axis)
+    r = taps.shape[0] // 2
+
+    def from_padded(image: jax.Array, taps: jax.Array) -> jax.Array:
+        return _weighted(_padded(image, r, axis, mode), taps, axis)
+
+    def looked_up(image: jax.Array, taps: jax.Array) -> jax.Array:
+        # a GPU looks rows up as fast as it reads them in order, which saves a copy of the image; not columns
+        return _weighted(_at_places(lax.optimization_barrier(image), (r, r), axis, mode), taps, axis)
+
+    default = looked_up if axis == 0 and mode != "constant" else from_padded
+    return lax.platform_dependent(image, taps, cpu=from_padded, default=default)
 
 
 def _filter_jvp(axis: int, mode: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:

@@ -192,7 +192,7 @@ def _through_jpeg(
 def _levels(image: jax.Array) -> Planes:
     """The planes in 8 bits, 0 for NaN, in a type that holds the sums: float16 does not."""
     exact = jnp.promote_types(image.dtype, jnp.float32)
-    known = (jnp.where(jnp.isnan(p), 0, p) for p in planes(image))
+    known = planes(jnp.where(jnp.isnan(image), 0, image))
     red, green, blue = (round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in known)
     return red, green, blue
 

@@ -13,6 +13,7 @@ from jaxisp.recipes import RECIPES
 from jaxisp.stages.denoise.bilateral import bilateral_planes
 from jaxisp.stages.denoise.grid import grid_planes
 from jaxisp.stages.jpeg import Jpeg, jpeg
+from jaxisp.windows import filter_rows_columns
 from tests.conftest import smooth_image
 
 
@@ -54,7 +55,7 @@ def picture(shape, seed=0):
     return jnp.asarray(smooth_image(shape, seed), jnp.float32)
 
 
-@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:2", "4:2:0"])
 def test_jpeg_is_the_same_to_the_bit(elsewhere, subsampling):
     images = jnp.stack([picture((33, 41, 3), seed) for seed in range(3)])
     params = Jpeg(quality=jnp.float32([5, 60, 95]))
@@ -62,6 +63,31 @@ def test_jpeg_is_the_same_to_the_bit(elsewhere, subsampling):
     np.testing.assert_array_equal(elsewhere(coded, params, images), coded(params, images))
     slopes = value_and_gradients(coded)
     close(elsewhere(slopes, params, images), jax.jit(slopes)(params, images), 1e-4)
+
+
+def test_jpeg_of_black_and_white_is_the_same_to_the_bit(elsewhere, rng):
+    """Coefficients as large as they get, which other devices store in 16 bits."""
+    noise = rng.integers(0, 2, (40, 48, 3))
+    wave = np.cos(np.pi / 8 * (np.arange(48) + 0.5)) > 0  # of a block's lowest frequency
+    checks = wave[:40, None] ^ wave ^ (np.indices((40, 48)).sum(0) % 2 > 0)
+    images = [
+        jnp.float32(x) for x in (noise, np.stack([checks] * 3, -1), wave[:, None] * [1, 0, 1] + 0 * noise)
+    ]
+    coded = jax.vmap(lambda p, x: jpeg(p, x, subsampling="4:4:4"), (0, None))
+    params = Jpeg(quality=jnp.float32([1, 2, 30, 93, 100]))
+    for image in map(jnp.float32, images):
+        np.testing.assert_array_equal(elsewhere(coded, params, image), coded(params, image))
+
+
+@pytest.mark.parametrize("mode", ["reflect", "edge", "constant"])
+@pytest.mark.parametrize("shape", [(23, 31), (23, 31, 3), (4, 5, 3)])
+def test_separable_filters(elsewhere, mode, shape, rng, x64):
+    def filtered(image, down, across):
+        return filter_rows_columns(image, down, across, mode)
+
+    args = tuple(jnp.asarray(rng.uniform(size=s)) for s in (shape, 7, 11))
+    slopes = value_and_gradients(filtered)
+    close(elsewhere(slopes, *args), jax.jit(slopes)(*args), 1e-12)
 
 
 @pytest.mark.parametrize(

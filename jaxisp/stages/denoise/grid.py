@@ -144,11 +144,18 @@ def _blurred_in_space_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
 def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
     """`matrix @ grid`, plane by plane: for a single product XLA transposes the grid, before and after.
 
-    The transpose is fast on a CPU only with the matrix stored transposed.
+    The transpose is fast on a CPU only with the matrix stored transposed. Elsewhere it is a sum: a product
+    would store the matrix once for each plane.
     """
 
-    def each(m: jax.Array, g: jax.Array) -> jax.Array:
+    def by_plane(m: jax.Array, g: jax.Array) -> jax.Array:
         return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
+
+    def summed(m: jax.Array, g: jax.Array) -> jax.Array:
+        return fused_sum(m.T[:, :, None] * g[:, :, None], 1)
+
+    def each(m: jax.Array, g: jax.Array) -> jax.Array:
+        return lax.platform_dependent(m, g, cpu=by_plane, default=summed)
 
     return linear_call(each, lambda m, c: each(store(m.T), c), matrix, grid)
 
