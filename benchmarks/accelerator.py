@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from benchmarks.accelerator_report import write_accelerator
 from benchmarks.case import Case, Peer
 from benchmarks.cases import chain, demosaic, denoise, filters, jpeg
 from benchmarks.kernels import kernels
@@ -56,6 +57,7 @@ def main() -> None:
     parser.add_argument("--kernels", action="store_true", help="the kernels of each row, too")
     parser.add_argument("--seconds", type=float, default=5.0, help="for the rounds of one row")
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--report", type=Path, help="write a page of the results here")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     arguments = parser.parse_args()
     unknown = set(arguments.recipes) - set(RECIPES)
@@ -79,6 +81,8 @@ def main() -> None:
         keep(stage_rows(arguments.stages, arguments.only, how))
     results["machine"], results["load"] = machine(), [*results["load"], load()]
     write_text(arguments.out, json.dumps(results, indent=1) + "\n")
+    if arguments.report:
+        write_accelerator(arguments.report, arguments.out)
     if arguments.json:
         print(json.dumps(results))
 

@@ -31,11 +31,17 @@ def test_what_is_printed_is_kept(tmp_path, monkeypatch, capsys):
 
 
 def test_stages_and_their_kernels(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "page.md"
     stages = "--recipes", "--no-frame", "--stages", "2", "--only", "JPEG", "--kernels"
-    run(monkeypatch, *stages, "--seconds", "0", "--json", "--out", str(tmp_path / "results.json"))
+    files = "--out", str(tmp_path / "results.json"), "--report", str(page)
+    run(monkeypatch, *stages, *files, "--seconds", "0", "--json")
     (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert (row["what"], row["images"]) == ("JPEG 4:2:0", 2)
     assert row["kernels_ms"] == pytest.approx(sum(k["ms"] for k in row["kernels"]), abs=1e-3)
+    (line,) = (line for line in page.read_text().splitlines() if "JPEG" in line)
+    assert (
+        line.startswith(f"| JPEG 4:2:0 | 2 | {row['ms']:.3f} ({row['iqr']:.3f}) |") and line.count("|") == 12
+    )
     assert all(k["ms"] >= 0 and k["times"] > 0 for k in row["kernels"]) and len(row["kernels"]) > 5
 
 

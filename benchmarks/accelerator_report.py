@@ -1,0 +1,49 @@
+"""The page of `benchmarks.accelerator`, made from its JSON alone."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+INTRODUCTION = """# Every stage on {device}
+
+Made by `python -m benchmarks.accelerator --stages 1024 --kernels --report PAGE` with jax {jax}.
+
+Medians in ms. *In a row* is one of eight calls of which the last is waited for, as a training loop makes
+them; *waited for* is one call and its result. *Kernels* is what they take by the device's own clock, and how
+many run. The *floor* is a copy that reads and writes as many bytes as the stage has to. *kornia* runs on the
+same device, on tensors that are there, in a row too; its outputs are compared with ours before it is timed.
+"""
+HEADERS = (
+    "what", "images", "in a row", "images/s", "waited for", "kernels", "x floor", "first call", "kornia",
+    "x ours", "outputs",
+)  # fmt: skip
+
+
+def write_accelerator(path: Path, results: Path) -> None:
+    """Write the page; what has not been measured is left empty."""
+    found = json.loads(results.read_text())
+    machine = found["machine"]
+    device = machine["processor"] if machine["backend"] == "cpu" else machine["device"]
+    lines = [HEADERS, ["---"] * len(HEADERS), *map(cells, found["rows"])]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"{INTRODUCTION.format(device=device, jax=machine['versions']['jax'])}\n{table}\n")
+
+
+def cells(row: dict[str, Any]) -> list[str]:
+    peer = next(iter(row.get("peers", ())), {})
+    listed = row.get("kernels", ())
+    ran = f"{row['kernels_ms']:.3f} in {sum(k['times'] for k in listed):.0f}" if listed else ""
+    return [
+        row["what"],
+        f"{row['images']}",
+        f"{row['ms']:.3f} ({row['iqr']:.3f})",
+        f"{1e3 * row['images'] / row['ms']:,.0f}",
+        f"{row['alone_ms']:.3f}",
+        ran,
+        f"{row['times_floor']}",
+        f"{row['first_call_s']} s",
+        f"{peer['ms']:.2f}" if "ms" in peer else peer.get("error", ""),
+        f"{peer['ratio']:.1f}" if "ratio" in peer else "",
+        peer.get("outputs", ""),
+    ]
