@@ -66,7 +66,7 @@ def test_jpeg_is_the_same_to_the_bit(elsewhere, subsampling):
 
 
 def test_jpeg_of_black_and_white_is_the_same_to_the_bit(elsewhere, rng):
-    """Coefficients as large as they get, which other devices store in 16 bits."""
+    """Where coefficients and sums are as large as they get."""
     noise = rng.integers(0, 2, (40, 48, 3))
     wave = np.cos(np.pi / 8 * (np.arange(48) + 0.5)) > 0  # of a block's lowest frequency
     checks = wave[:40, None] ^ wave ^ (np.indices((40, 48)).sum(0) % 2 > 0)
