@@ -12,7 +12,6 @@ what there is to measure; it runs anywhere.
 import argparse
 import json
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,8 +26,8 @@ from benchmarks.case import Case, Peer
 from benchmarks.cases import chain, demosaic, denoise, filters, jpeg
 from benchmarks.kernels import kernels
 from benchmarks.machine import load, machine
-from benchmarks.timing import seconds, summary
-from benchmarks.torch_peer import fetched, wait
+from benchmarks.peers import compare
+from benchmarks.timing import finish, seconds, summary
 from jaxisp.camera import standard_camera
 from jaxisp.io.files import write_text
 from jaxisp.pipeline import Chain
@@ -58,12 +57,19 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=5.0, help="for the rounds of one row")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--report", type=Path, help="write a page of the results here")
+    parser.add_argument("--render", action="store_true", help="measure nothing, write the page")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     arguments = parser.parse_args()
     unknown = set(arguments.recipes) - set(RECIPES)
     if unknown:
         parser.error(f"no recipe {', '.join(sorted(unknown))}; there are {', '.join(RECIPES)}")
+    if arguments.render:
+        if not arguments.report:
+            parser.error("--render needs --report")
+        write_accelerator(arguments.report, arguments.out)
+        return
     console = Console(width=150, highlight=False, stderr=arguments.json)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     results: dict[str, Any] = {"machine": machine(), "load": [load()], "rows": []}
     how = How(arguments.seconds, arguments.kernels)
 
@@ -71,7 +77,6 @@ def main() -> None:
         for row in rows:
             console.print(line(row))
             results["rows"].append(row)
-            arguments.out.parent.mkdir(parents=True, exist_ok=True)
             write_text(arguments.out, json.dumps(results, indent=1) + "\n")
 
     keep(recipe_rows(arguments.recipes, arguments.batches, how))
@@ -146,16 +151,10 @@ def repeated(images: np.ndarray, count: int) -> np.ndarray:
 
 def against(case: Case, peer: Peer, ours_ms: float, how: How) -> dict[str, Any]:
     """A peer's outputs beside ours, then its times; or what went wrong, as one line."""
-    entry: dict[str, Any] = {"name": peer.name}
-    try:
-        theirs = fetched(peer.call())
-        if peer.agrees is not None:
-            entry["outputs"] = peer.agrees(case.ours(), theirs)
+    entry = compare(case, peer)
+    if "error" not in entry:
         entry |= timed(peer.call, how.budget)
         entry["ratio"] = round(entry["ms"] / ours_ms, 2)
-    except Exception as error:
-        traceback.print_exc()
-        entry["error"] = f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
     return entry
 
 
@@ -188,8 +187,7 @@ def in_a_row(call: Callable[[], Any], calls: int = IN_A_ROW) -> float:
     clock = time.perf_counter()
     for _ in range(calls - 1):
         call()
-    jax.block_until_ready(call())
-    wait()
+    finish(call)
     return (time.perf_counter() - clock) / calls
 
 

@@ -4,9 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-INTRODUCTION = """# Every stage on {device}
+INTRODUCTION = """# Whole batches and single stages on {device}
 
-Made by `python -m benchmarks.accelerator --stages 1024 --kernels --report PAGE` with jax {jax}.
+Made by `python -m benchmarks.accelerator --stages 1024 --kernels --report PAGE` with jax {jax}; the
+page alone with `--render --out RESULTS`.
 
 Medians in ms. *In a row* is one of eight calls of which the last is waited for, as a training loop makes
 them; *waited for* is one call and its result. *Kernels* is what they take by the device's own clock, and how

@@ -30,6 +30,7 @@ from benchmarks.case import Case, Peer
 from benchmarks.machine import limits, load, machine, set_threads
 from benchmarks.report import verdict, write_performance
 from benchmarks.timing import WARM, interleaved, seconds, summary
+from benchmarks.torch_peer import fetched
 
 RESULTS = Path("benchmarks/results/peers.json")
 PAGE = Path("docs/results/performance.md")
@@ -158,7 +159,7 @@ def compare(case: Case, peer: Peer) -> dict[str, Any]:
     """How the outputs agree, before any time is taken."""
     entry: dict[str, Any] = {"name": peer.name, "goal": peer.goal}
     try:
-        theirs = peer.call()
+        theirs = fetched(peer.call())
         if peer.agrees is not None:
             entry["outputs"] = peer.agrees(case.ours(), theirs)
     except Exception as error:

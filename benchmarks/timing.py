@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from benchmarks.machine import set_threads
+from benchmarks.torch_peer import wait
 
 SHORTEST = 5e-3
 """Seconds: shorter calls are repeated within a sample."""
@@ -21,8 +22,14 @@ LEAST_ROUNDS = 5
 def seconds(call: Callable[[], Any]) -> float:
     """One call, its result waited for."""
     clock = time.perf_counter()
-    jax.block_until_ready(call())
+    finish(call)
     return time.perf_counter() - clock
+
+
+def finish(call: Callable[[], Any]) -> None:
+    """Call, and wait for the result, JAX's or torch's."""
+    jax.block_until_ready(call())
+    wait()
 
 
 def interleaved(
@@ -64,10 +71,10 @@ def sample(call: Callable[[], Any], expected: float, threads: int | None) -> flo
     repeats = max(1, round(SHORTEST / expected))
     clock = time.perf_counter()
     while expected < LONG and time.perf_counter() - clock < WARM:
-        jax.block_until_ready(call())
+        finish(call)
     clock = time.perf_counter()
     for _ in range(repeats):
-        jax.block_until_ready(call())
+        finish(call)
     spent = (time.perf_counter() - clock) / repeats
     if threads is not None:
         set_threads(None)

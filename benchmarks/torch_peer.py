@@ -7,22 +7,22 @@ import jax
 import numpy as np
 
 
-def on_device(array: np.ndarray) -> Any:
-    """A tensor of it there."""
+def tensor(array: np.ndarray) -> Any:
+    """One of an array there."""
     import torch
 
     gpu = jax.default_backend() == "gpu" and torch.cuda.is_available()
     return torch.from_numpy(np.ascontiguousarray(array)).to("cuda" if gpu else "cpu")
 
 
-def left(tensor: Any) -> Any:
+def left(result: Any) -> Any:
     """The array that a CPU's tensor is; a GPU's tensor stays where it is, as results of JAX do."""
-    return tensor if tensor.is_cuda else tensor.numpy()
+    return result if result.is_cuda else result.numpy()
 
 
-def fetched(result: Any) -> np.ndarray:
-    """What `left` gave, as an array."""
-    return result.cpu().numpy() if hasattr(result, "cpu") else np.asarray(result)
+def fetched(result: Any) -> Any:
+    """A GPU's tensor as an array; any other result as it is."""
+    return result.cpu().numpy() if hasattr(result, "is_cuda") else result
 
 
 def wait() -> None:

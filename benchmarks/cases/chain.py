@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
-from benchmarks.torch_peer import left, on_device
+from benchmarks.torch_peer import left, tensor
 from jaxisp.camera import develop, standard_camera
 from jaxisp.io import read_raw
 from jaxisp.io.dng import write_dng
@@ -87,13 +87,13 @@ def chain_case(chain: Chain, size: str, images: np.ndarray) -> Case:
         """A value for each image, as in training."""
         return jnp.full((len(images), *np.shape(value)), value, jnp.float32)
 
-    params, pictures = jax.tree.map(each, chain.init() | PARAMS), jnp.asarray(images)
+    params, on_device = jax.tree.map(each, chain.init() | PARAMS), jnp.asarray(images)
     return Case(
         "chain of nine stages",
         size,
-        lambda: run_batch(chain, params, pictures, KEY),
+        lambda: run_batch(chain, params, on_device, KEY),
         tuple(chain_peers(images)),
-        gradient_of(chain, params, pictures),
+        gradient_of(chain, params, on_device),
         bytes_moved=2 * images.nbytes,
         notes="mosaic, noise, Hibbard, bilateral r2, median 3x3, gamma, saturation, unsharp mask, JPEG; "
         "peers: their nearest calls, so that outputs differ by algorithm and by noise",
@@ -172,12 +172,12 @@ def kornia_chain(images: np.ndarray) -> Callable[[], Any]:
     import kornia
     import torch
 
-    x = on_device(images.transpose(0, 3, 1, 2))
+    x = tensor(images.transpose(0, 3, 1, 2))
     rows, columns = (np.arange(n) % 2 for n in x.shape[2:])
     colour = rows[:, None] + columns  # red, green, green, blue
-    masks = on_device(np.float32([colour == c for c in range(3)]))
-    mix = on_device(SATURATION * np.eye(3, dtype=np.float32) + np.float32(1 - SATURATION) * LUMA)
-    quality = on_device(np.float32([QUALITY]))
+    masks = tensor(np.float32([colour == c for c in range(3)]))
+    mix = tensor(SATURATION * np.eye(3, dtype=np.float32) + np.float32(1 - SATURATION) * LUMA)
+    quality = tensor(np.float32([QUALITY]))
 
     def call() -> Any:
         with torch.inference_mode():
@@ -260,12 +260,12 @@ def large_chain() -> Case:
     """The chain without noise, which would be drawn for the whole frame, and without the encoder."""
     chain = Chain(tuple(n for n in NODES if n.name not in ("mosaic", "gaussian_noise", "jpeg")), "chain")
     mosaic = mosaicked(linear(3024, 4032))
-    frame = jnp.asarray(mosaic)
+    on_device = jnp.asarray(mosaic)
     params = chain.init() | {n: p for n, p in PARAMS.items() if n in chain.init()}
     return Case(
         "chain of six stages in strips",
         "12 MP",
-        lambda: run_in_strips(chain, params, frame),
+        lambda: run_in_strips(chain, params, on_device),
         (Peer("OpenCV, its own threads", lambda: opencv_photograph(mosaic), 1 / 0.75, agreement),),
         bytes_moved=4 * mosaic.nbytes,
         notes="Hibbard, bilateral r2, median 3x3, gamma, saturation, unsharp mask",

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
-from benchmarks.torch_peer import left, on_device
+from benchmarks.torch_peer import left, tensor
 from jaxisp.cfa import masks, select
 from jaxisp.io.dng import write_dng
 from jaxisp.pipeline import run_batch, stage
@@ -125,7 +125,7 @@ def kornia(mosaics: np.ndarray) -> Iterator[Peer]:
         from kornia.color import CFA, raw_to_rgb
     except ImportError:
         return
-    x = on_device(mosaics[:, None])
+    x = tensor(mosaics[:, None])
 
     def call() -> Any:
         with torch.no_grad():

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
-from benchmarks.torch_peer import left, on_device
+from benchmarks.torch_peer import left, tensor
 from jaxisp.samples import scene
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.dwt import analyse, synthesise
@@ -24,13 +24,13 @@ AUTHORS_MS = {"batch": 2293, "1 MP": 9025}
 
 def cases() -> Iterator[Case]:
     for size, planes in data().items():
-        arrays = jax.device_put(planes)
+        on_device = jax.device_put(planes)
         for radius in BILATERAL_GOALS:
-            yield bilateral_case(size, planes, arrays, radius)
+            yield bilateral_case(size, planes, on_device, radius)
         for side in MEDIAN_GOALS:
-            yield median_case(size, planes, arrays, side)
-        yield wavelet_case(size, planes, arrays)
-        yield grid_case(size, arrays)
+            yield median_case(size, planes, on_device, side)
+        yield wavelet_case(size, planes, on_device)
+        yield grid_case(size, on_device)
 
 
 def data() -> dict[str, np.ndarray]:
@@ -77,14 +77,14 @@ def forward_and_gradient(
     return lambda: forward(*arguments), lambda: gradient(*arguments)
 
 
-def bilateral_case(size: str, planes: np.ndarray, arrays: jax.Array, radius: int) -> Case:
+def bilateral_case(size: str, planes: np.ndarray, on_device: jax.Array, radius: int) -> Case:
     d, space = 2 * radius + 1, radius / 2
     taps = sum(
         y * y + x * x <= radius**2 for y in range(-radius, radius + 1) for x in range(-radius, radius + 1)
     )
     ours, gradient = forward_and_gradient(
         lambda p, s, r: bilateral_plane(p, p, s, r, radius),
-        arrays,
+        on_device,
         np.float32(space),
         np.float32(SIGMA_RANGE),
     )
@@ -98,7 +98,7 @@ def bilateral_case(size: str, planes: np.ndarray, arrays: jax.Array, radius: int
             goal = BILATERAL_GOALS[radius] if threads else None
             peers.append(Peer(name, call, goal, difference(), threads))
     if kornia := _kornia():
-        images = on_device(planes[:, None])
+        images = tensor(planes[:, None])
         run = lambda: left(kornia.filters.bilateral_blur(images, d, SIGMA_RANGE, (space, space)))  # noqa: E731
         peers.append(Peer("kornia (square window)", run, KORNIA_BILATERAL_GOALS[size]))
     if size == "batch" and radius == 2 and optional("skimage"):
@@ -110,10 +110,10 @@ def bilateral_case(size: str, planes: np.ndarray, arrays: jax.Array, radius: int
     return Case(f"bilateral d{d}, 3 planes each", size, ours, tuple(peers), gradient, **work)
 
 
-def median_case(size: str, planes: np.ndarray, arrays: jax.Array, side: int) -> Case:
+def median_case(size: str, planes: np.ndarray, on_device: jax.Array, side: int) -> Case:
     from scipy import ndimage
 
-    ours, gradient = forward_and_gradient(lambda p: median_plane(p, f"{side}x{side}"), arrays)
+    ours, gradient = forward_and_gradient(lambda p: median_plane(p, f"{side}x{side}"), on_device)
     peers = []
     if cv2 := optional("cv2"):
         call = each(lambda p: cv2.medianBlur(p, side), planes)
@@ -121,14 +121,14 @@ def median_case(size: str, planes: np.ndarray, arrays: jax.Array, side: int) -> 
     call = each(lambda p: ndimage.median_filter(p, size=side, mode="mirror"), planes)
     peers.append(Peer("SciPy", call, 50.0, difference()))
     if kornia := _kornia():
-        images = on_device(planes[:, None])
+        images = tensor(planes[:, None])
         run = lambda: left(kornia.filters.median_blur(images, side)[:, 0])  # noqa: E731
         peers.append(Peer("kornia", run, 12.0, difference(side // 2)))
     work = {"bytes_moved": 8 * planes.size, "flops": {3: 18, 5: 106}[side] * planes.size}
     return Case(f"median {side}x{side}, 3 planes each", size, ours, tuple(peers), gradient, **work)
 
 
-def wavelet_case(size: str, planes: np.ndarray, arrays: jax.Array) -> Case:
+def wavelet_case(size: str, planes: np.ndarray, on_device: jax.Array) -> Case:
     def there_and_back(plane: jax.Array) -> jax.Array:
         low, pyramid = plane, []
         for _ in range(LEVELS):
@@ -139,7 +139,7 @@ def wavelet_case(size: str, planes: np.ndarray, arrays: jax.Array) -> Case:
             low = synthesise((low, h, v, d), shape, "db2")
         return low
 
-    ours, gradient = forward_and_gradient(there_and_back, arrays)
+    ours, gradient = forward_and_gradient(there_and_back, on_device)
     peers = []
     if pywt := optional("pywt"):
 
@@ -153,16 +153,16 @@ def wavelet_case(size: str, planes: np.ndarray, arrays: jax.Array) -> Case:
     return Case(title, size, ours, tuple(peers), gradient, **work)
 
 
-def grid_case(size: str, arrays: jax.Array) -> Case:
+def grid_case(size: str, on_device: jax.Array) -> Case:
     """Two chroma planes by a luma, a width for each image from 6 to 40 px."""
-    images = arrays.reshape(-1, 3, *arrays.shape[1:])
+    images = on_device.reshape(-1, 3, *on_device.shape[1:])
     widths = jnp.geomspace(6, 40, len(images)) if len(images) > 1 else jnp.full(1, 15.0)
     filtered = lambda x, s: jnp.stack(grid_planes((x[0], x[2]), x[1], s, 0.02))  # noqa: E731
     ours, gradient = forward_and_gradient(filtered, images, widths)
     notes = f"the paper's own grid takes {AUTHORS_MS[size]} ms of one CPU (a stated figure)"
-    moved = 20 * arrays.size / 3
+    moved = 20 * on_device.size / 3
     return Case(
-        "bilateral grid, chroma by luma", size, ours, (), gradient, moved, 1000 * arrays.size / 3, notes
+        "bilateral grid, chroma by luma", size, ours, (), gradient, moved, 1000 * on_device.size / 3, notes
     )
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, Peer
-from benchmarks.torch_peer import left, on_device
+from benchmarks.torch_peer import left, tensor
 from jaxisp.pipeline import run_batch, stage
 from jaxisp.samples import scene
 from jaxisp.stages.blur import OpticalBlur
@@ -246,7 +246,7 @@ def kornia_peer(images: np.ndarray, call: Callable[[Any, Any], Any], goal: float
         from kornia import filters
     except ImportError:
         return
-    x = on_device(np.moveaxis(images, -1, 1))
+    x = tensor(np.moveaxis(images, -1, 1))
 
     def run() -> Any:
         with torch.inference_mode():

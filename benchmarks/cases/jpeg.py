@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.case import Case, Peer
-from benchmarks.torch_peer import left, on_device
+from benchmarks.torch_peer import left, tensor
 from jaxisp.pipeline import run_batch, stage
 from jaxisp.samples import scene
 from jaxisp.stages.jpeg import Jpeg
@@ -96,8 +96,8 @@ def kornia(pictures: np.ndarray) -> Callable[[], Any] | None:
         from kornia.enhance import jpeg_codec_differentiable
     except ImportError:
         return None
-    images = on_device(np.moveaxis(pictures / np.float32(255), -1, 1))
-    quality = on_device(np.full(len(images), QUALITY, np.float32))
+    images = tensor(np.moveaxis(pictures / np.float32(255), -1, 1))
+    quality = tensor(np.full(len(images), QUALITY, np.float32))
 
     def run() -> Any:
         with torch.no_grad():

@@ -39,27 +39,27 @@ def test_stages_and_their_kernels(tmp_path, monkeypatch, capsys):
     assert (row["what"], row["images"]) == ("JPEG 4:2:0", 2)
     assert row["kernels_ms"] == pytest.approx(sum(k["ms"] for k in row["kernels"]), abs=1e-3)
     (line,) = (line for line in page.read_text().splitlines() if "JPEG" in line)
-    assert (
-        line.startswith(f"| JPEG 4:2:0 | 2 | {row['ms']:.3f} ({row['iqr']:.3f}) |") and line.count("|") == 12
-    )
+    assert line.startswith(f"| JPEG 4:2:0 | 2 | {row['ms']:.3f} (") and line.count("|") == 12
     assert all(k["ms"] >= 0 and k["times"] > 0 for k in row["kernels"]) and len(row["kernels"]) > 5
 
 
-def test_a_peer_on_the_same_device(capsys):
-    """kornia is not installed here: NumPy stands for it, and one that fails is told in a line."""
-    how = accelerator.How(0.0, False)
-    ours = lambda: jax.numpy.arange(4.0)  # noqa: E731
-    agrees = lambda a, b: f"{np.abs(np.asarray(a) - b).max():.1f} apart"  # noqa: E731
-    case = Case("a stage", "batch", ours, (Peer("kornia", lambda: np.arange(4.0), None, agrees),))
-    entry = accelerator.against(case, case.peers[0], 2.0, how)
-    assert entry["outputs"] == "0.0 apart" and entry["ratio"] == pytest.approx(entry["ms"] / 2, abs=0.01)
+def test_a_peer_that_fails_is_told_in_a_line():
+    def numbers():
+        return np.arange(4.0)
 
     def fails():
         raise ValueError("no such card\nand more")
 
+    def apart(ours, theirs):
+        return f"{np.abs(ours - theirs).max():.1f} apart"
+
+    how = accelerator.How(0.0, False)
+    case = Case("a stage", "batch", numbers)
+    entry = accelerator.against(case, Peer("kornia", numbers, agrees=apart), 2.0, how)
+    assert entry["outputs"] == "0.0 apart" and entry["ratio"] == pytest.approx(entry["ms"] / 2, abs=0.01)
     entry = accelerator.against(case, Peer("kornia", fails), 2.0, how)
-    assert entry == {"name": "kornia", "error": "ValueError: no such card"}
-    row = {"what": "a stage", "images": 4, "first_call_s": 1.0} | accelerator.timed(ours, 0.0)
+    assert entry["error"] == "ValueError: no such card" and "ms" not in entry
+    row = {"what": "a stage", "images": 4, "first_call_s": 1.0} | accelerator.timed(numbers, 0.0)
     told = accelerator.line(row | {"times_floor": 3.0, "peers": [entry]})
     assert "kornia: ValueError: no such card" in told
 
