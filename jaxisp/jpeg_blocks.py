@@ -138,7 +138,7 @@ class _Steps(NamedTuple):
 
     @classmethod
     def of(cls, tables: jax.Array, first: int, rows: int) -> "_Steps":
-        # computed once for a table: of each row's own a CPU would divide for each coefficient
+        # stored, or a CPU would divide once for each coefficient
         each = materialize((tables, 4 * tables + 0.5, 1 / (8 * tables)))
         return cls(*(_of_rows(values, first, rows) for values in each))
 

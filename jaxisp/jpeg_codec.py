@@ -54,9 +54,6 @@ def ycbcr_to_rgb(y: jax.Array, cb: jax.Array, cr: jax.Array) -> Planes:
     return r, g, b
 
 
-# Columns are repeated by selection, as XLA's CPU code takes two to three times as long to join them.
-
-
 def _lower(plane: jax.Array, rows: int) -> jax.Array:
     """With the last row repeated below so many times."""
     return jnp.pad(plane, ((0, rows), (0, 0)), mode="edge") if rows else plane
@@ -70,6 +67,7 @@ def _wider(plane: jax.Array, last: jax.Array, columns: int) -> jax.Array:
 
     def joined(_: None, parts: tuple[jax.Array, jax.Array]) -> jax.Array:
         plane, last = parts
+        # selected, as XLA's CPU code takes two to three times as long to join columns
         wide = jnp.pad(plane, ((0, 0), (0, columns)))
         return jnp.where(np.arange(width + columns) < width, wide, last)
 
@@ -112,7 +110,7 @@ def _box_sums(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
 
 def _repeated(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
     for axis, count in enumerate(step):
-        plane = _interleaved(plane, plane, axis) if count == 2 else plane
+        plane = _interleave(plane, plane, axis) if count == 2 else plane
     return plane
 
 
@@ -136,7 +134,7 @@ def _triangles(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
         if step[axis] == 2:
             plane = materialize(plane)
             before, after = (3 * plane + _moved(plane, by, axis) for by in (1, -1))
-            plane = _interleaved(before, after, axis)
+            plane = _interleave(before, after, axis)
     return plane
 
 
@@ -158,7 +156,7 @@ def _triangles_transposed(step: tuple[int, int], _: None, plane: jax.Array) -> j
     return plane
 
 
-def _interleaved(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
+def _interleave(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
     shape = list(a.shape)
     shape[axis] *= 2
     # stored, as a CPU's code would not be vectorised for the shape that comes next
@@ -221,7 +219,7 @@ def _compress(
     unpack: Callable[[jax.Array], Sequence[jax.Array]],
 ) -> Planes:
     shape = rgb[0].shape
-    y, cb, cr = materialize(rgb_to_ycbcr(rgb))
+    y, cb, cr = materialize(rgb_to_ycbcr(rgb))  # or whatever reads one would make it anew
     chroma = pack(cb, cr)
     y = downsample(y, (1, 1))
     y = _wider(y, y[:, -1:], chroma.shape[1] - y.shape[1])

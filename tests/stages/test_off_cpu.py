@@ -70,9 +70,7 @@ def test_jpeg_of_black_and_white_is_the_same_to_the_bit(elsewhere, rng):
     noise = rng.integers(0, 2, (40, 48, 3))
     wave = np.cos(np.pi / 8 * (np.arange(48) + 0.5)) > 0  # of a block's lowest frequency
     checks = wave[:40, None] ^ wave ^ (np.indices((40, 48)).sum(0) % 2 > 0)
-    images = [
-        jnp.float32(x) for x in (noise, np.stack([checks] * 3, -1), wave[:, None] * [1, 0, 1] + 0 * noise)
-    ]
+    images = noise, np.stack([checks] * 3, -1), wave[:, None] * [1, 0, 1] + 0 * noise
     coded = jax.vmap(lambda p, x: jpeg(p, x, subsampling="4:4:4"), (0, None))
     params = Jpeg(quality=jnp.float32([1, 2, 30, 93, 100]))
     for image in map(jnp.float32, images):
