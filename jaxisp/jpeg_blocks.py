@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.numerics import materialize, nearest_int
+from jaxisp.numerics import materialized, nearest_int
 
 
 def fixed(value: float, bits: int = 16) -> int:
@@ -77,85 +77,37 @@ def _fixed_basis() -> np.ndarray:
     return np.stack(_forward_1d(list(np.eye(8, dtype=int))))
 
 
-def _rows_forward(blocks: jax.Array) -> jax.Array:
-    """Along the rows of (R, 8, W) blocks of samples about 0, times 4; one exact matrix product."""
-    total = _product(blocks, _fixed_basis().T)
-    return shifted(total + (1 << 10), 11)
-
-
-def _rows_inverse(blocks: jax.Array) -> jax.Array:
-    """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
-    basis = _fixed_basis()
-    coarse = (basis + 64) // 128
-    high, low = (_product(blocks, m) for m in (coarse, basis - 128 * coarse))
-    return shifted(high + shifted(low + (1 << 17), 7), 11)
-
-
-def _product(blocks: jax.Array, matrix: np.ndarray) -> jax.Array:
-    """Each run of 8 along the last axis times an (8, 8) matrix, exact on every device."""
-
-    def product(runs: jax.Array) -> jax.Array:
-        return jnp.dot(runs, matrix.astype(runs.dtype), precision=lax.Precision.HIGHEST)
-
-    runs = blocks.reshape(-1, 8)
-    products = lax.platform_dependent(runs, cpu=product, default=partial(_summed, matrix.T, 1))
-    return products.reshape(blocks.shape)
-
-
-def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
-    """A matrix times an axis of 8, as a sum: off a CPU it becomes one kernel with what is around it."""
-    weights = matrix.T.astype(x.dtype).reshape(8, 8, *[1] * (x.ndim - 1 - axis))
-    return lax.reduce(jnp.expand_dims(x, axis + 1) * weights, np.zeros((), x.dtype), lax.add, (axis,))
-
-
-def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int, dtype: Any) -> jax.Array:
-    """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded, as `dtype`."""
-
-    def rounded(x: jax.Array) -> jax.Array:
-        return ((x + (1 << (bits - 1))) >> bits).astype(dtype)
-
-    def line_by_line(blocks: jax.Array) -> jax.Array:
-        lines = fn([lax.index_in_dim(blocks, i, 1, keepdims=False) for i in range(8)])
-        return jnp.stack([rounded(line) for line in lines], 1)
-
-    def at_once(blocks: jax.Array) -> jax.Array:
-        return rounded(_summed(np.stack(fn(list(np.eye(8, dtype=int)))), 1, blocks))
-
-    return lax.optimization_barrier(lax.platform_dependent(blocks, cpu=line_by_line, default=at_once))
-
-
-def _by_block(blocks: jax.Array) -> jax.Array:
-    rows, _, width = blocks.shape
-    return blocks.reshape(rows, 8, width // 8, 8)
-
-
 class _Steps(NamedTuple):
-    """What the quantiser needs of its tables, each (R, 8, 1, 8): the step q, 4 q + 1/2 and 1 / (8 q)."""
+    """What the quantiser needs of its tables: the step q, 4 q + 1/2 and 1 / (8 q)."""
 
     step: jax.Array
     half: jax.Array
     inverse: jax.Array
 
     @classmethod
-    def of(cls, tables: jax.Array, first: int, rows: int) -> "_Steps":
-        # stored, or a CPU would divide once for each coefficient
-        each = materialize((tables, 4 * tables + 0.5, 1 / (8 * tables)))
-        return cls(*(_of_rows(values, first, rows) for values in each))
+    def of(cls, tables: jax.Array) -> "_Steps":
+        return cls(tables, 4 * tables + 0.5, 1 / (8 * tables))
 
 
-def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
-    """(rows, 8, 1, 8) from two tables: the first for so many rows of blocks, the second for the rest."""
-    is_first = (np.arange(rows) < first)[:, None, None, None]
-    return jnp.where(is_first, tables[0, :, None], tables[1, :, None])
-
-
-def _quantize(blocks: jax.Array, steps: _Steps) -> tuple[jax.Array, jax.Array]:
-    """The forward DCT: coefficients times 8 and whole-numbered levels, (R, 8, W / 8, 8), in floats."""
-    lines = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
-    scaled = _by_block(_columns(_forward_1d, lines, 15, blocks.dtype))
+def _level(scaled: jax.Array, steps: _Steps) -> jax.Array:
+    """The whole-numbered level of coefficients times 8, in floats."""
     # rounds half away from zero; the extra half keeps floor() clear of the division's own rounding
     level = jnp.floor((jnp.abs(scaled) + steps.half) * steps.inverse)
-    return scaled, jnp.where(scaled < 0, -level, level)
+    return jnp.where(scaled < 0, -level, level)
+
+
+def _restored(scaled: jax.Array, steps: _Steps) -> jax.Array:
+    return nearest_int(_level(scaled, steps) * steps.step)
+
+
+def _slope(scaled: jax.Array, steps: _Steps) -> jax.Array:
+    """Of restored coefficients to their step: see `through_blocks`."""
+    t = scaled * steps.inverse
+    return _level(scaled, steps) - t * (128 / 35) * _sine(t) ** 8
+
+
+def _rounded(x: jax.Array, bits: int) -> jax.Array:
+    return (x + (1 << (bits - 1))) >> bits
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -172,29 +124,133 @@ def through_blocks(blocks: jax.Array, tables: jax.Array, first: int) -> jax.Arra
     each level moves, and which coefficients are about to drop one. (With `s' = 1`, straight through,
     a fitter is driven towards finer tables wherever it starts.)
     """
-    steps = _Steps.of(tables, first, len(blocks))
-    return _dequantize(_quantize(blocks, steps)[1], steps)
-
-
-def _dequantize(level: jax.Array, steps: _Steps) -> jax.Array:
-    restored = nearest_int(level * steps.step)
-    restored = restored.reshape(*restored.shape[:2], -1)
-    return jnp.clip(_rows_inverse(_columns(_inverse_1d, restored, 11, level.dtype)) + 128, 0, 255)
+    by_lines, by_sums = partial(_by_lines, first), partial(_by_sums, first)
+    return lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)[0]
 
 
 def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (blocks, tables), (d_blocks, d_tables) = primals, tangents
-    steps = _Steps.of(tables, first, len(blocks))
-    scaled, level = _quantize(blocks, steps)
-    t = scaled * steps.inverse
-    slope = level - t * (128 / 35) * _sine(t) ** 8
+    by_lines, by_sums = partial(_by_lines, first), partial(_by_sums, first)
+    coded, slope = lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)
     basis = _basis().astype(blocks.dtype)
     moved = _of_rows(d_tables, first, len(blocks)) * slope
     change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
-    return _dequantize(level, steps), d_blocks + change.reshape(blocks.shape)
+    return coded, d_blocks + change.reshape(blocks.shape)
 
 
 through_blocks.defjvp(_through_blocks_jvp)
+
+
+# On a CPU: sample by sample of a block, so that what is added lies in planes as long as there are blocks
+
+
+def _by_lines(first: int, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The coded blocks and the slopes of their coefficients, (R, 8, W / 8, 8)."""
+    rows, _, width = blocks.shape
+    each, dtype = materialized(_Steps.of(tables)), blocks.dtype  # or each coefficient would divide
+    count, most = rows * width // 8, first * width // 8
+    across = _down(_forward_1d, _planes(blocks), 1, 11)
+    # bound to what is coded, or a loop over strips would have the steps of each block stored before it
+    across, most = lax.optimization_barrier((across, jnp.int32(most)))
+    is_first = jnp.arange(count) < most
+
+    def quantizer(fn: Callable[[jax.Array, _Steps], jax.Array]) -> Callable[[jax.Array, int], jax.Array]:
+        def of_line(scaled: jax.Array, line: int) -> jax.Array:
+            steps = (jnp.where(is_first, s[0, line, :, None], s[1, line, :, None]) for s in each)
+            return jax.jit(fn)(scaled.astype(dtype), _Steps(*steps))
+
+        return of_line
+
+    def sample(x: jax.Array, _: int) -> jax.Array:
+        return jnp.clip(x + 128, 0, 255)
+
+    restored = _down(_forward_1d, across, 0, 15, quantizer(_restored))
+    samples = _down(_inverse_1d, _down(_inverse_1d, restored, 0, 11), 1, 18, sample)
+    slope = _down(_forward_1d, across, 0, 15, quantizer(_slope), dtype)
+    slope, coded = (_blocks(x, rows, dtype) for x in (slope, samples))
+    return coded, slope.reshape(rows, 8, -1, 8)
+
+
+def _planes(blocks: jax.Array) -> jax.Array:
+    """(R, 8, W) samples about 0 as a plane for each place in a block, (8, 8, R W / 8), in 16 bits."""
+    lines = blocks.swapaxes(0, 1)[:, None]
+    # joined from slices: a transposition is stored twice
+    places = lax.concatenate([lines[..., j::8] for j in range(8)], 1)
+    return materialized(nearest_int(places - 128).astype(jnp.int16)).reshape(8, 8, -1)
+
+
+def _blocks(planes: jax.Array, rows: int, dtype: Any) -> jax.Array:
+    """The way back; stored, as what reads from 64 planes is not vectorised."""
+    blocks = planes.reshape(8, 8, rows, -1).transpose(2, 0, 3, 1).astype(dtype)
+    return materialized(blocks.reshape(rows, 8, -1))
+
+
+def _down(
+    fn: Callable[[Rows], Rows],
+    planes: jax.Array,
+    axis: int,
+    bits: int,
+    then: Callable[[jax.Array, int], jax.Array] = lambda x, _: x,
+    dtype: Any = jnp.int16,
+) -> jax.Array:
+    """A 1-D transform along an axis of 8, shifted down by `bits`, rounded, and what follows for each place.
+
+    All that is stored between transforms fits 16 bits: at most 15,800 for coefficients times 8.
+    """
+    # sliced and joined along the axis as it is: `jnp.stack` would move it, at a copy under vmap
+    # called as a function, here and for each line: so it is traced once
+    lines = jax.jit(fn)([lax.slice_in_dim(planes, i, i + 1, axis=axis).astype(jnp.int32) for i in range(8)])
+    each = [then(_rounded(line, bits), i).astype(dtype) for i, line in enumerate(lines)]
+    return materialized(lax.concatenate(each, axis))
+
+
+# Elsewhere: sums over 8, each one kernel with what is around it
+
+
+def _by_sums(first: int, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The coded blocks and the slopes of their coefficients, (R, 8, W / 8, 8)."""
+    rows, _, width = blocks.shape
+    steps = _Steps(*(_of_rows(each, first, rows) for each in _Steps.of(tables)))
+    across = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
+    scaled = _columns(_forward_1d, across, 15, blocks.dtype).reshape(rows, 8, width // 8, 8)
+    restored = _restored(scaled, steps).reshape(blocks.shape)
+    samples = _rows_inverse(_columns(_inverse_1d, restored, 11, blocks.dtype))
+    return jnp.clip(samples + 128, 0, 255), _slope(scaled, steps)
+
+
+def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
+    """(rows, 8, 1, 8) from two tables: the first for so many rows of blocks, the second for the rest."""
+    is_first = (np.arange(rows) < first)[:, None, None, None]
+    return jnp.where(is_first, tables[0, :, None], tables[1, :, None])
+
+
+def _rows_forward(blocks: jax.Array) -> jax.Array:
+    """Along the rows of (R, 8, W) blocks of samples about 0, times 4; exact in floats."""
+    return shifted(_along_rows(_fixed_basis(), blocks) + (1 << 10), 11)
+
+
+def _rows_inverse(blocks: jax.Array) -> jax.Array:
+    """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
+    basis = _fixed_basis().T
+    coarse = (basis + 64) // 128
+    high, low = (_along_rows(m, blocks) for m in (coarse, basis - 128 * coarse))
+    return shifted(high + shifted(low + (1 << 17), 7), 11)
+
+
+def _along_rows(matrix: np.ndarray, blocks: jax.Array) -> jax.Array:
+    return _summed(matrix, 1, blocks.reshape(-1, 8)).reshape(blocks.shape)
+
+
+def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int, dtype: Any) -> jax.Array:
+    """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded, as `dtype`."""
+    lines = _summed(np.stack(fn(list(np.eye(8, dtype=int)))), 1, blocks)
+    return lax.optimization_barrier(_rounded(lines, bits).astype(dtype))
+
+
+def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
+    """A matrix times an axis of 8, as a sum."""
+    weights = matrix.T.astype(x.dtype).reshape(8, 8, *[1] * (x.ndim - 1 - axis))
+    return lax.reduce(jnp.expand_dims(x, axis + 1) * weights, np.zeros((), x.dtype), lax.add, (axis,))
 
 
 _SINE = (3.141592654, -5.167712765, 2.550163318, -0.5992521865, 0.08205035015, -0.00702830379)

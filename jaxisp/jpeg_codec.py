@@ -17,7 +17,7 @@ from jax import lax
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.jpeg_blocks import fixed, shifted, through_blocks
 from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize, straight_through
+from jaxisp.numerics import clip, materialize, straight_through
 
 SAMPLING = {"4:4:4": (1, 1), "4:2:2": (1, 2), "4:2:0": (2, 2)}
 """Luma samples per chroma sample, (vertical, horizontal)."""
@@ -50,7 +50,7 @@ def ycbcr_to_rgb(y: jax.Array, cb: jax.Array, cr: jax.Array) -> Planes:
         shifted(fixed(1.772) * u + half, 16),
     )
     soft = ycbcr_to_rgb_planes(y, u, v)
-    r, g, b = (straight_through(jnp.clip(y + d, 0, 255), jnp.clip(s, 0, 255)) for d, s in zip(shifts, soft))
+    r, g, b = (straight_through(jnp.clip(y + d, 0, 255), clip(s, 0, 255)) for d, s in zip(shifts, soft))
     return r, g, b
 
 
@@ -164,7 +164,7 @@ def _interleave(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
 
 
 def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsampling: str) -> Planes:
-    """Planes of whole numbers in 0..255 through JPEG and back.
+    """Planes of whole numbers in 0..255 through JPEG and back; where one is NaN, all come back so.
 
     The three planes go through the transform as one array, chroma below luma.
 
@@ -220,6 +220,8 @@ def _compress(
 ) -> Planes:
     shape = rgb[0].shape
     y, cb, cr = materialize(rgb_to_ycbcr(rgb))  # or whatever reads one would make it anew
+    lost = jnp.isnan(y)
+    y, cb, cr = (jnp.where(lost, black, p) for black, p in ((0, y), (128, cb), (128, cr)))
     chroma = pack(cb, cr)
     y = downsample(y, (1, 1))
     y = _wider(y, y[:, -1:], chroma.shape[1] - y.shape[1])
@@ -227,6 +229,6 @@ def _compress(
     tables = jnp.stack([luma_table, chroma_table])
     coded = through_blocks(lax.optimization_barrier(blocks), tables, len(y) // 8)
     coded = coded.reshape(-1, blocks.shape[2])
-    y = coded[: shape[0], : shape[1]]
+    y = jnp.where(lost, jnp.nan, coded[: shape[0], : shape[1]])
     cb, cr = unpack(coded[-len(chroma) :])
     return ycbcr_to_rgb(*lax.optimization_barrier((y, cb, cr)))  # or each colour upsamples for itself

@@ -17,7 +17,7 @@ def materialize(x: Any) -> Any:
     Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
     `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
     """
-    return lax.platform_dependent(x, cpu=_branch, default=lambda v: v)
+    return lax.platform_dependent(x, cpu=materialized, default=lambda v: v)
 
 
 def store_off_cpu(x: Any) -> Any:
@@ -31,10 +31,11 @@ def store_off_cpu(x: Any) -> Any:
 
 def store(x: Any) -> Any:
     """Make every backend store `x`: `materialize` on a CPU, `store_off_cpu` elsewhere."""
-    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
+    return lax.platform_dependent(x, cpu=materialized, default=_barrier)
 
 
-def _branch(value: Any) -> Any:
+def materialized(value: Any) -> Any:
+    """`materialize` within a branch that only a CPU runs, where it is traced faster."""
     # the branches hold a barrier because JAX removes a cond whose branches return what they were given
     return lax.cond(_barrier(True), _barrier, _barrier, value)
 
@@ -102,10 +103,39 @@ def round_through(x: jax.Array) -> jax.Array:
     return straight_through(jnp.round(x), x)
 
 
+def clip(x: jax.Array, low: Any, high: Any) -> jax.Array:
+    """`jnp.clip` between two scalars, NaN kept; its gradient is 1 inside, 0 outside and 1/2 on a bound.
+
+    JAX's own gradient divides, once for each bound, and XLA's CPU code stores the quotients.
+    """
+    return _clip(x, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
+
+
+@jax.custom_jvp
+def _clip(x: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    return jnp.clip(x, low, high)
+
+
+def _clip_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    x, low, high = primals
+    y = _clip(x, low, high)
+    where = (
+        ((x >= low) & (x <= high), (x > low) & (x < high)),
+        (x <= low, x < low),
+        (x >= high, x > high),
+    )
+    moved = [(m, t) for m, t in zip(where, tangents) if not isinstance(t, SymbolicZero)]
+    halves = [jnp.where(mask, change, 0) for masks, change in moved for mask in masks]
+    return y, 0.5 * sum(halves, jnp.zeros_like(y))
+
+
+_clip.defjvp(_clip_jvp, symbolic_zeros=True)
+
+
 def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Array:
     """Clip; the gradient is 1 inside and `leak` outside, so that a fitter can leave a clipped region."""
-    soft = leak * x + (1 - leak) * jnp.clip(x, low, high) if leak else jnp.clip(x, low, high)
-    return straight_through(jnp.clip(x, low, high), soft)
+    inside = clip(x, low, high)
+    return straight_through(inside, leak * x + (1 - leak) * inside) if leak else inside
 
 
 def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:

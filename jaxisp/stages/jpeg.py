@@ -1,6 +1,7 @@
 """JPEG as libjpeg does it, decoded: by quality, by Photoshop's level, or by the tables of a file."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from jaxisp.channels import interleaved, planes
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
 from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
-from jaxisp.numerics import clip_through, round_through, straight_through
+from jaxisp.numerics import clip, clip_through, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -42,7 +43,7 @@ def jpeg(
         column_phase: likewise to the left.
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one, which is coded as black.
 
     Raises:
         ValueError: an unknown subsampling or a phase outside 0..15.
@@ -89,7 +90,7 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
             4:4:4), "4:4:4", "4:2:2" or "4:2:0".
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one, which is coded as black.
 
     Raises:
         ValueError: an unknown subsampling.
@@ -105,7 +106,7 @@ def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str
     levels = _levels(image)
     exact = levels[0].dtype
     coded = compress_full_or_half(levels, luma.astype(exact), chroma.astype(exact), full)
-    return _stacked(coded, image)
+    return _stacked(coded, image.dtype)
 
 
 def _level_table(tables: np.ndarray, level: jax.Array) -> jax.Array:
@@ -152,7 +153,7 @@ def jpeg_tables(
         column_phase: likewise to the left.
 
     Returns:
-        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one.
+        (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one, which is coded as black.
 
     Raises:
         ValueError: an unknown subsampling or a phase outside 0..15.
@@ -186,18 +187,15 @@ def _through_jpeg(
     exact = red.dtype
     red, green, blue = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
     coded = (p[row_phase:, column_phase:] for p in (red, green, blue))
-    return _stacked(coded, image)
+    return _stacked(coded, image.dtype)
 
 
 def _levels(image: jax.Array) -> Planes:
-    """The planes in 8 bits, 0 for NaN, in a type that holds the sums: float16 does not."""
+    """The planes in 8 bits, in a type that holds the sums: float16 does not."""
     exact = jnp.promote_types(image.dtype, jnp.float32)
-    known = planes(jnp.where(jnp.isnan(image), 0, image))
-    red, green, blue = (round_through(255 * jnp.clip(p, 0, 1)).astype(exact) for p in known)
+    red, green, blue = (round_through(255 * clip(p, 0, 1)).astype(exact) for p in planes(image))
     return red, green, blue
 
 
-def _stacked(coded: Iterable[jax.Array], image: jax.Array) -> jax.Array:
-    """The image of the coded planes, with NaN at the pixels of the image that have one."""
-    lost = jnp.isnan(image).any(-1)
-    return interleaved([jnp.where(lost, jnp.nan, p).astype(image.dtype) / 255 for p in coded])
+def _stacked(coded: Iterable[jax.Array], dtype: Any) -> jax.Array:
+    return interleaved([p.astype(dtype) / 255 for p in coded])

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.domains import EncodedRGB
-from jaxisp.numerics import elementwise, straight_through
+from jaxisp.numerics import clip, elementwise, straight_through
 from jaxisp.pipeline import register
 
 
@@ -35,7 +35,7 @@ def rounding(image: EncodedRGB, *, bits: int = 8, legacy: bool = False) -> Encod
     levels = 2**bits - 1
 
     def rounded(x: jax.Array) -> jax.Array:
-        inside = jnp.clip(x, 0, 1)
+        inside = clip(x, 0, 1)
         if legacy:
             return straight_through(jnp.floor(inside * 2**bits) / 2**bits, inside)
         return straight_through(jnp.round(inside * levels) / levels, inside)

@@ -13,6 +13,7 @@ from jaxisp.channels import planes
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.linear import pointwise
+from jaxisp.numerics import clip
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.power import power
@@ -39,7 +40,7 @@ class SCurve:
 
 def _s_curve(x: jax.Array, strength: jax.Array, midpoint: jax.Array) -> jax.Array:
     slope = jnp.exp(strength)
-    inside = jnp.clip(x, 0.0, 1.0)
+    inside = clip(x, 0, 1)
     dark = inside < midpoint
     share = jnp.where(dark, inside / midpoint, (1 - inside) / (1 - midpoint))
     bent = share / (share + slope * (1 - share))
@@ -132,7 +133,7 @@ def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
     def curve(x: jax.Array, amount: jax.Array) -> jax.Array:
         a = 0.2 * amount
         end_slope = 1 - 32 * a / 3
-        inside = jnp.clip(x, 0.0, 1.0)
+        inside = clip(x, 0, 1)
         cubic = inside * (end_slope + inside * (32 * a - inside * (64 * a / 3)))
         return cubic + end_slope * (x - inside)
 
