@@ -195,7 +195,7 @@ def _down(
 ) -> jax.Array:
     """A 1-D transform along an axis of 8, shifted down by `bits`, rounded, and what follows for each place.
 
-    All that is stored between transforms fits 16 bits: at most 15,800 for coefficients times 8.
+    All that is stored between transforms fits 16 bits: at most 2**13, the coefficients times 8.
     """
     # sliced and joined along the axis as it is: `jnp.stack` would move it, at a copy under vmap
     # called as a function, here and for each line: so it is traced once

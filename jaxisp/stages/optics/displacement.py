@@ -1,16 +1,17 @@
 """Where the lens puts the light: chromatic aberration and distortion."""
 
 import math
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
-from jaxisp.linear import linear_call
+from jaxisp.linear import inner_product, linear_call
 from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -66,7 +67,8 @@ def _magnified(plane: jax.Array, scale: jax.Array, most: float) -> jax.Array:
     largest = most / (1 - most) + 1e-4  # of |1/scale - 1|, and rounding
     reach_y, reach_x = (math.ceil(largest * (n - 1) / 2) for n in plane.shape)
     if max(reach_y, reach_x) > _MOST_SHIFTS:
-        return materialize(picked(materialize(picked(plane, dy[:, 0], 0)), dx[0], 1))
+        rows = materialize(_scaled(plane, change, 0, reach_y, largest))
+        return materialize(_scaled(rows, change, 1, reach_x, largest))
     return _shifted(_shifted(plane, dy, 0, reach_y), dx, 1, reach_x)
 
 
@@ -78,6 +80,75 @@ def picked(plane: jax.Array, offset: jax.Array, axis: int) -> jax.Array:
     share, index = jnp.expand_dims(place - first, 1 - axis), first.astype(jnp.int32)
     here, there = (jnp.take(plane, i, axis, mode="clip") for i in (index, index + 1))
     return here + share * (there - here)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))
+def _scaled(plane: jax.Array, change: jax.Array, axis: int, reach: int, largest: float) -> jax.Array:
+    """Linear interpolation at `change` times the distance from the centre, whose gradient needs no scatter.
+
+    Args:
+        plane: (H, W).
+        change: a scalar.
+        axis: along which.
+        reach: the farthest a sample may lie [px].
+        largest: the largest |change|.
+    """
+    return picked(plane, _offset(plane, change, axis), axis)
+
+
+def _offset(plane: jax.Array, change: jax.Array, axis: int) -> jax.Array:
+    return change * from_centre(plane.shape, plane.dtype)[axis].ravel()
+
+
+@_scaled.defjvp
+def _scaled_jvp(axis: int, reach: int, largest: float, primals: Any, tangents: Any) -> Any:
+    def read(change: jax.Array, plane: jax.Array) -> jax.Array:
+        return _scaled(plane, change, axis, reach, largest)
+
+    def slope(saved: Any) -> jax.Array:
+        # bound anew, or XLA would store every sample that was read, to read it again
+        plane, change = lax.optimization_barrier(saved)
+        return jax.jvp(
+            lambda c: picked(plane, _offset(plane, c, axis), axis), (change,), (jnp.ones_like(change),)
+        )[1]
+
+    plane, change = primals
+    moved = linear_call(read, partial(_spread_scaled, axis, reach, largest), change, tangents[0])
+    scaled = linear_call(
+        lambda s, d: d * slope(s), lambda s, y: inner_product(slope(s), y), primals, tangents[1]
+    )
+    return read(change, plane), moved + scaled
+
+
+def _spread_scaled(axis: int, reach: int, largest: float, change: jax.Array, y: jax.Array) -> jax.Array:
+    """The transpose of `_scaled`: each pixel reads those that took of it."""
+    n, dtype = y.shape[axis], y.dtype
+    pixel, centre = jnp.arange(-reach, n + reach, dtype=dtype), (n - 1) / 2
+    place = jnp.arange(n, dtype=dtype) + _offset(y, change, axis)
+    first = jnp.floor((pixel - 1 - centre) / (1 + change) + centre).astype(jnp.int32)
+    takers = (
+        first + np.arange(math.ceil(2 / (1 - largest)) + 1)[:, None]
+    )  # one more than there can be: rounding
+    shares = _tent(jnp.take(place, takers, mode="clip") - pixel)
+    shares = materialize(jnp.where((takers >= 0) & (takers < n), shares, 0))
+
+    def along(line: jax.Array) -> jax.Array:
+        each = (jnp.take(line, t, axis=0, mode="clip") for t in takers)
+        return sum(s.reshape(-1, *[1] * (line.ndim - 1)) * v for s, v in zip(shares, each))
+
+    # row by row where columns are looked up, or XLA would store them the other way round
+    wide = jax.vmap(along)(y) if axis else along(y)
+    return _folded(wide, axis, reach)
+
+
+def _folded(wide: jax.Array, axis: int, border: int) -> jax.Array:
+    """The transpose of a border that repeats the edge."""
+    wide = materialize(wide)
+    head, inside, tail = jnp.split(wide, (border, wide.shape[axis] - border), axis)
+    index = lax.broadcasted_iota(jnp.int32, inside.shape, axis)
+    for place, edge in ((0, head), (inside.shape[axis] - 1, tail)):
+        inside += jnp.where(index == place, edge.sum(axis, keepdims=True), 0)
+    return inside
 
 
 def _shifted(plane: jax.Array, offset: jax.Array, axis: int, reach: int) -> jax.Array:
@@ -107,8 +178,7 @@ def _spread_shifted(cotangent: jax.Array, offset: jax.Array, axis: int, reach: i
         return lax.slice_in_dim(x, reach - d, reach - d + size, axis=axis)
 
     wide = reduce(jnp.add, (_tent(at(offsets, d) - d) * at(values, d) for d in range(-reach, reach + 1)))
-    fold = jax.linear_transpose(lambda x: pad(x, _along(axis, reach), "edge"), cotangent)
-    return fold(materialize(wide))[0]
+    return _folded(wide, axis, reach)
 
 
 def _along(axis: int, step: int) -> tuple[int, int]:
