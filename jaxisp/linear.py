@@ -154,6 +154,30 @@ def inner_product(x: jax.Array, y: jax.Array) -> jax.Array:
     return total(x * y)
 
 
+def sums(fn: Callable[..., tuple[jax.Array, ...]], *images: jax.Array) -> tuple[jax.Array, ...]:
+    """The sums over the rows, (W,) or (W, C), of the images that `fn` makes of some, elementwise.
+
+    On a CPU row by row: XLA's code takes seven times as long to reduce what it computes on the spot.
+
+    Args:
+        fn: images of one shape to a tuple of such.
+        images: (H, W) or (H, W, C) each.
+    """
+    start = tuple(jnp.zeros(s.shape[1:], s.dtype) for s in jax.eval_shape(fn, *images))
+
+    def row_by_row(*images: jax.Array) -> tuple[jax.Array, ...]:
+        def body(i: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+            rows = (lax.dynamic_index_in_dim(x, i, 0, keepdims=False) for x in images)
+            return tuple(s + v for s, v in zip(so_far, fn(*rows)))
+
+        return lax.fori_loop(0, len(images[0]), body, start)
+
+    def at_once(*images: jax.Array) -> tuple[jax.Array, ...]:
+        return tuple(v.sum(0) for v in fn(*images))
+
+    return lax.platform_dependent(*images, cpu=row_by_row, default=at_once)
+
+
 def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:
     """`scalar * image`, linear in the scalar, with a fast gradient to it."""
     return linear_call(lambda x, s: s * x, inner_product, image, scalar)

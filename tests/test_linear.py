@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxisp.linear import fused_sum, inner_product, linear_call, mean, pointwise, scaled
+from jaxisp.linear import fused_sum, inner_product, linear_call, mean, pointwise, scaled, sums
 
 MATRIX = np.random.default_rng(0).standard_normal((4, 3))
 
@@ -80,6 +80,19 @@ def test_fused_sum(axis, rng, x64):
     np.testing.assert_allclose(jax.jit(lambda v: fused_sum(v, axis))(x), x.sum(axis), rtol=1e-12)
     np.testing.assert_allclose(jax.vmap(lambda v: fused_sum(v, axis))(x[None])[0], x.sum(axis), rtol=1e-12)
     check_grads(lambda v: fused_sum(v**3, axis), (x,), order=2, modes=["fwd", "rev"])
+
+
+@pytest.mark.parametrize("shape", [(4, 6), (1, 5, 3), (7, 1)])
+def test_sums(shape, rng, x64):
+    """Over the rows of each image of a batch, also as a part of a program that is differentiated."""
+    x, y = rng.standard_normal((2, 2, *shape))
+
+    def fn(x, y):
+        return x * y, jnp.sin(x), y**2
+
+    for got, want in zip(jax.jit(jax.vmap(lambda *v: sums(fn, *v)))(x, y), fn(x, y), strict=True):
+        np.testing.assert_allclose(got, want.sum(1), rtol=1e-12)
+    check_grads(lambda *v: sums(fn, *v), (x[0], y[0]), order=2, modes=["fwd", "rev"])
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])

@@ -7,6 +7,7 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxisp.numerics import (
+    clip,
     clip_through,
     elementwise,
     materialize,
@@ -71,6 +72,22 @@ def test_total_at_and_below_zero(fn):
 def test_values():
     assert safe_sqrt(jnp.float32(9)) == 3
     assert safe_divide(1.0, jnp.float32(4)) == 0.25 and safe_divide(1.0, jnp.float32(0)) == 0
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.float32])
+def test_clip_is_jax_s_also_on_the_bounds(dtype):
+    x = jnp.asarray([-np.inf, -0.4, 0.25, 0.5, 0.75, 2, np.inf, np.nan], dtype)
+    bounds = jnp.asarray(0.25, dtype), jnp.asarray(0.75, dtype)
+    weights = jnp.arange(1, 9, dtype=dtype)
+
+    def all_of(fn):
+        y, pull = jax.vjp(fn, x, *bounds)
+        return [y, *pull(weights), jax.jvp(fn, (x, *bounds), (weights, *bounds))[1]]
+
+    for a, b in zip(all_of(clip), all_of(jnp.clip), strict=True):
+        assert a.dtype == dtype
+        np.testing.assert_array_equal(a, b)
+    assert clip(jnp.float32(3), 0, 1) == 1 and jax.grad(clip)(jnp.float32(0), 0, 1) == 0.5
 
 
 def test_straight_through_has_the_exact_value_and_the_other_gradient():
