@@ -124,14 +124,12 @@ def through_blocks(blocks: jax.Array, tables: jax.Array, first: int) -> jax.Arra
     each level moves, and which coefficients are about to drop one. (With `s' = 1`, straight through,
     a fitter is driven towards finer tables wherever it starts.)
     """
-    by_lines, by_sums = partial(_by_lines, first), partial(_by_sums, first)
-    return lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)[0]
+    return _coded(blocks, tables, first)[0]
 
 
 def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (blocks, tables), (d_blocks, d_tables) = primals, tangents
-    by_lines, by_sums = partial(_by_lines, first), partial(_by_sums, first)
-    coded, slope = lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)
+    coded, slope = _coded(blocks, tables, first, slopes=True)
     basis = _basis().astype(blocks.dtype)
     moved = _of_rows(d_tables, first, len(blocks)) * slope
     change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
@@ -141,11 +139,18 @@ def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Ar
 through_blocks.defjvp(_through_blocks_jvp)
 
 
+def _coded(
+    blocks: jax.Array, tables: jax.Array, first: int, *, slopes: bool = False
+) -> tuple[jax.Array, ...]:
+    """The coded blocks, and the slopes of their coefficients, (R, 8, W / 8, 8), where they are wanted."""
+    by_lines, by_sums = partial(_by_lines, first, slopes), partial(_by_sums, first, slopes)
+    return lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)
+
+
 # On a CPU: sample by sample of a block, so that what is added lies in planes as long as there are blocks
 
 
-def _by_lines(first: int, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The coded blocks and the slopes of their coefficients, (R, 8, W / 8, 8)."""
+def _by_lines(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
     rows, _, width = blocks.shape
     each, dtype = materialized(_Steps.of(tables)), blocks.dtype  # or each coefficient would divide
     count, most = rows * width // 8, first * width // 8
@@ -166,9 +171,11 @@ def _by_lines(first: int, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Arr
 
     restored = _down(_forward_1d, across, 0, 15, quantizer(_restored))
     samples = _down(_inverse_1d, _down(_inverse_1d, restored, 0, 11), 1, 18, sample)
+    coded = _blocks(samples, rows, dtype)
+    if not slopes:
+        return (coded,)
     slope = _down(_forward_1d, across, 0, 15, quantizer(_slope), dtype)
-    slope, coded = (_blocks(x, rows, dtype) for x in (slope, samples))
-    return coded, slope.reshape(rows, 8, -1, 8)
+    return coded, _blocks(slope, rows, dtype).reshape(rows, 8, -1, 8)
 
 
 def _planes(blocks: jax.Array) -> jax.Array:
@@ -197,8 +204,8 @@ def _down(
 
     All that is stored between transforms fits 16 bits: at most 2**13, the coefficients times 8.
     """
-    # sliced and joined along the axis as it is: `jnp.stack` would move it, at a copy under vmap
-    # called as a function, here and for each line: so it is traced once
+    # sliced and joined along the axis as it is: `jnp.stack` would move it, at a copy under vmap; called as
+    # functions, so that they are traced once
     lines = jax.jit(fn)([lax.slice_in_dim(planes, i, i + 1, axis=axis).astype(jnp.int32) for i in range(8)])
     each = [then(_rounded(line, bits), i).astype(dtype) for i, line in enumerate(lines)]
     return materialized(lax.concatenate(each, axis))
@@ -207,15 +214,15 @@ def _down(
 # Elsewhere: sums over 8, each one kernel with what is around it
 
 
-def _by_sums(first: int, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The coded blocks and the slopes of their coefficients, (R, 8, W / 8, 8)."""
+def _by_sums(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
     rows, _, width = blocks.shape
     steps = _Steps(*(_of_rows(each, first, rows) for each in _Steps.of(tables)))
     across = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
     scaled = _columns(_forward_1d, across, 15, blocks.dtype).reshape(rows, 8, width // 8, 8)
     restored = _restored(scaled, steps).reshape(blocks.shape)
     samples = _rows_inverse(_columns(_inverse_1d, restored, 11, blocks.dtype))
-    return jnp.clip(samples + 128, 0, 255), _slope(scaled, steps)
+    coded = jnp.clip(samples + 128, 0, 255)
+    return (coded, _slope(scaled, steps)) if slopes else (coded,)
 
 
 def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
