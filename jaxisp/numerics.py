@@ -108,6 +108,7 @@ def clip(x: jax.Array, low: Any, high: Any) -> jax.Array:
 
     JAX's own gradient divides, once for each bound, and XLA's CPU code stores the quotients.
     """
+    x = jnp.asarray(x)
     return _clip(x, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
 
 

@@ -37,6 +37,16 @@ def test_lateral_chromatic_aberration(red, blue, most, shifts, monkeypatch, x64)
     np.testing.assert_array_equal(out[..., 1], image[..., 1])
 
 
+@pytest.mark.parametrize("shifts", [displacement._MOST_SHIFTS, -1])
+@pytest.mark.parametrize("scale", [0.96, 0.97, 0.9999, 1.03, 1.04])
+def test_the_gradient_to_the_image_is_the_transpose_at_the_bounds_too(scale, shifts, monkeypatch, rng, x64):
+    """Where most pixels are taken by the fewest and the most others; beyond, both forms stay at the bound."""
+    monkeypatch.setattr(displacement, "_MOST_SHIFTS", shifts)
+    plane, weights = rng.random((2, 43, 260))
+    magnified, pull = jax.vjp(jax.jit(lambda x: displacement._magnified(x, scale, 0.03)), plane)
+    np.testing.assert_allclose(np.sum(magnified * weights), np.sum(plane * pull(weights)[0]), rtol=1e-12)
+
+
 def test_a_scale_above_one_magnifies():
     image = np.zeros((H, 201, 3), np.float32)
     image[10, [20, 180]] = 1  # 80 px to both sides of the centre

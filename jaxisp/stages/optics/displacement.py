@@ -12,7 +12,7 @@ from jax import lax
 from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
 from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import materialize
+from jaxisp.numerics import clip, materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
@@ -61,15 +61,15 @@ def lateral_chromatic_aberration(
 
 def _magnified(plane: jax.Array, scale: jax.Array, most: float) -> jax.Array:
     """The plane scaled about its centre."""
-    y, x = from_centre(plane.shape, plane.dtype)
-    change = 1 / jnp.asarray(scale, plane.dtype) - 1
-    dy, dx = change * y, change * x
-    largest = most / (1 - most) + 1e-4  # of |1/scale - 1|, and rounding
+    largest = most / (1 - most) + 1e-4  # of |1 / scale - 1|, and rounding
     reach_y, reach_x = (math.ceil(largest * (n - 1) / 2) for n in plane.shape)
+    # only out of bounds does clipping change anything
+    change = clip(1 / jnp.asarray(scale, plane.dtype) - 1, -largest, largest)
     if max(reach_y, reach_x) > _MOST_SHIFTS:
         rows = materialize(_scaled(plane, change, 0, reach_y, largest))
         return materialize(_scaled(rows, change, 1, reach_x, largest))
-    return _shifted(_shifted(plane, dy, 0, reach_y), dx, 1, reach_x)
+    y, x = from_centre(plane.shape, plane.dtype)
+    return _shifted(_shifted(plane, change * y, 0, reach_y), change * x, 1, reach_x)
 
 
 def picked(plane: jax.Array, offset: jax.Array, axis: int) -> jax.Array:
@@ -126,9 +126,8 @@ def _spread_scaled(axis: int, reach: int, largest: float, change: jax.Array, y: 
     pixel, centre = jnp.arange(-reach, n + reach, dtype=dtype), (n - 1) / 2
     place = jnp.arange(n, dtype=dtype) + _offset(y, change, axis)
     first = jnp.floor((pixel - 1 - centre) / (1 + change) + centre).astype(jnp.int32)
-    takers = (
-        first + np.arange(math.ceil(2 / (1 - largest)) + 1)[:, None]
-    )  # one more than there can be: rounding
+    count = math.ceil(2 / (1 - largest)) + 1  # one more than there can be, for rounding
+    takers = first + np.arange(count)[:, None]
     shares = _tent(jnp.take(place, takers, mode="clip") - pixel)
     shares = materialize(jnp.where((takers >= 0) & (takers < n), shares, 0))
 
@@ -153,7 +152,6 @@ def _folded(wide: jax.Array, axis: int, border: int) -> jax.Array:
 
 def _shifted(plane: jax.Array, offset: jax.Array, axis: int, reach: int) -> jax.Array:
     """Linear interpolation at `offset` px along an axis, |offset| <= reach: its gradient needs no scatter."""
-    offset = jnp.clip(offset, -reach, reach)  # only out of bounds does this change anything
     return linear_call(
         lambda o, x: _read_shifted(x, o, axis, reach),
         lambda o, y: _spread_shifted(y, o, axis, reach),
