@@ -126,7 +126,7 @@ def _spread_scaled(axis: int, reach: int, largest: float, change: jax.Array, y: 
     pixel, centre = jnp.arange(-reach, n + reach, dtype=dtype), (n - 1) / 2
     place = jnp.arange(n, dtype=dtype) + _offset(y, change, axis)
     first = jnp.floor((pixel - 1 - centre) / (1 + change) + centre).astype(jnp.int32)
-    count = math.ceil(2 / (1 - largest)) + 1  # one more than there can be, for rounding
+    count = math.ceil(2 / (1 - largest)) + 1  # those within a pixel of it, and the one before
     takers = first + np.arange(count)[:, None]
     shares = _tent(jnp.take(place, takers, mode="clip") - pixel)
     shares = materialize(jnp.where((takers >= 0) & (takers < n), shares, 0))
