@@ -107,7 +107,7 @@ def _scaled_jvp(axis: int, reach: int, largest: float, primals: Any, tangents: A
 
     def slope(saved: Any) -> jax.Array:
         # bound anew, or XLA would store every sample that was read, to read it again
-        plane, change = lax.optimization_barrier(saved)
+        plane, change = map(lax.optimization_barrier, saved)
         return jax.jvp(
             lambda c: picked(plane, _offset(plane, c, axis), axis), (change,), (jnp.ones_like(change),)
         )[1]
