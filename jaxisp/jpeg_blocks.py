@@ -1,7 +1,8 @@
 """The fixed-point DCT of libjpeg and its quantisation, on rows of 8 x 8 blocks.
 
-Values are exact integers held in floats of at least 32 bits, and sums stay below 2**24 there; the
-transform along columns, which needs more, is int32.
+Two forms of the same integers. On a CPU they are int32 within a transform and stored in 16 bits; elsewhere
+they are held in floats of at least 32 bits, where sums stay below 2**24, but for the transform along columns,
+which needs more and is int32.
 """
 
 import functools
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.numerics import materialized, nearest_int
+from jaxisp.numerics import materialize, nearest_int
 
 
 def fixed(value: float, bits: int = 16) -> int:
@@ -152,7 +153,7 @@ def _coded(
 
 def _by_lines(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
     rows, _, width = blocks.shape
-    each, dtype = materialized(_Steps.of(tables)), blocks.dtype  # or each coefficient would divide
+    each, dtype = materialize(_Steps.of(tables)), blocks.dtype  # or each coefficient would divide
     count, most = rows * width // 8, first * width // 8
     across = _down(_forward_1d, _planes(blocks), 1, 11)
     # bound to what is coded, or a loop over strips would have the steps of each block stored before it
@@ -183,13 +184,13 @@ def _planes(blocks: jax.Array) -> jax.Array:
     lines = blocks.swapaxes(0, 1)[:, None]
     # joined from slices: a transposition is stored twice
     places = lax.concatenate([lines[..., j::8] for j in range(8)], 1)
-    return materialized(nearest_int(places - 128).astype(jnp.int16)).reshape(8, 8, -1)
+    return materialize(nearest_int(places - 128).astype(jnp.int16)).reshape(8, 8, -1)
 
 
 def _blocks(planes: jax.Array, rows: int, dtype: Any) -> jax.Array:
     """The way back; stored, as what reads from 64 planes is not vectorised."""
     blocks = planes.reshape(8, 8, rows, -1).transpose(2, 0, 3, 1).astype(dtype)
-    return materialized(blocks.reshape(rows, 8, -1))
+    return materialize(blocks.reshape(rows, 8, -1))
 
 
 def _down(
@@ -208,7 +209,7 @@ def _down(
     # functions, so that they are traced once
     lines = jax.jit(fn)([lax.slice_in_dim(planes, i, i + 1, axis=axis).astype(jnp.int32) for i in range(8)])
     each = [then(_rounded(line, bits), i).astype(dtype) for i, line in enumerate(lines)]
-    return materialized(lax.concatenate(each, axis))
+    return materialize(lax.concatenate(each, axis))
 
 
 # Elsewhere: sums over 8, each one kernel with what is around it

@@ -1,7 +1,7 @@
 """What libjpeg does to pixels, in JAX: integer colour, chroma sampling, DCT and quantisation.
 
-Values are exact integers held in floats of at least 32 bits, and sums stay below 2**24 there; the
-transform along columns, which needs more, is int32. Each step pairs libjpeg's integer arithmetic with
+Values are exact integers held in floats of at least 32 bits, and sums stay below 2**24 there; how the
+transforms hold theirs is told in `jpeg_blocks`. Each step pairs libjpeg's integer arithmetic with
 a smooth surrogate for the gradient.
 """
 

@@ -17,7 +17,7 @@ def materialize(x: Any) -> Any:
     Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
     `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
     """
-    return lax.platform_dependent(x, cpu=materialized, default=lambda v: v)
+    return lax.platform_dependent(x, cpu=_branch, default=lambda v: v)
 
 
 def store_off_cpu(x: Any) -> Any:
@@ -31,11 +31,10 @@ def store_off_cpu(x: Any) -> Any:
 
 def store(x: Any) -> Any:
     """Make every backend store `x`: `materialize` on a CPU, `store_off_cpu` elsewhere."""
-    return lax.platform_dependent(x, cpu=materialized, default=_barrier)
+    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
 
 
-def materialized(value: Any) -> Any:
-    """`materialize` within a branch that only a CPU runs, where it is traced faster."""
+def _branch(value: Any) -> Any:
     # the branches hold a barrier because JAX removes a cond whose branches return what they were given
     return lax.cond(_barrier(True), _barrier, _barrier, value)
 
