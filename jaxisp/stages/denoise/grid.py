@@ -5,6 +5,7 @@ pixel reads it back at its own place and guide value. Tents stand for the bins, 
 is dense: no gather, no scatter. Elsewhere the grid is read by gathers.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -19,6 +20,7 @@ from jaxisp.linear import fused_sum, linear_call, scaled
 from jaxisp.numerics import on_all_cores, store, store_off_cpu, straight_through
 
 Planes = tuple[jax.Array, ...]
+Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
 
 _LARGE = 1 << 18  # px: beyond, all planes at once need memory that a CPU gets anew at every call
 _MOST_TERMS = 32  # in one fused kernel
@@ -66,28 +68,23 @@ def grid_planes(
         grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
         return _sliced(u, grid, cell, -(-width // cell) + 2)
 
-    large = height * width > _LARGE
-    weight, *sums = _one_by_one_on_cpu(filtered, u, values) if large else filtered(u, values)
+    one_by_one = partial(_in_place, filtered) if height * width > _LARGE else filtered
+    weight, *sums = lax.platform_dependent(u, values, cpu=one_by_one, default=filtered)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
 
 
-def _one_by_one_on_cpu(
-    fn: Callable[[jax.Array, jax.Array], jax.Array], u: jax.Array, values: jax.Array
-) -> jax.Array:
-    """`fn(u, values)`, plane by plane of the values on a CPU: in three fifths of the memory."""
+def _in_place(fn: Callable[[jax.Array, jax.Array], jax.Array], u: jax.Array, values: jax.Array) -> jax.Array:
+    """`fn(u, values)`, plane by plane of the values, each where its plane was: in half of the memory."""
 
-    def each(u: jax.Array, values: jax.Array) -> jax.Array:
-        def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
-            index, plane = item
-            # u too by the loop's index, or its tents would be stored before the loop; the plane stored,
-            # or whatever reads it would work out where it is
-            bound = lax.optimization_barrier((u, store(plane), on_all_cores(index)))
-            own_u, own = (straight_through(b, x) for b, x in zip(bound, (u, plane)))
-            return fn(own_u, own[None])[0]
+    def body(i: jax.Array, planes: jax.Array) -> jax.Array:
+        own = lax.dynamic_index_in_dim(planes, i, 0)
+        # u too by the loop's index, or its tents would be stored before the loop; the plane stored,
+        # or whatever reads it would work out where it is
+        bound = lax.optimization_barrier((u, store(own), on_all_cores(i)))
+        own_u, own = (straight_through(b, x) for b, x in zip(bound, (u, own)))
+        return lax.dynamic_update_index_in_dim(planes, fn(own_u, own), i, 0)
 
-        return lax.map(one, (jnp.arange(len(values)), values))
-
-    return lax.platform_dependent(u, values, cpu=each, default=fn)
+    return lax.fori_loop(0, len(values), body, values)
 
 
 # A plane is held as (cell**2, L): where in its cell, quadrant by quadrant, then the cells row by row. Each
@@ -122,10 +119,19 @@ def _blurred_in_space(grid: jax.Array, variance: jax.Array) -> jax.Array:
     """(bins, planes, rows, columns + 2) to (bins, planes, rows + 3, columns + 2), the last two dropped."""
     bins, count, rows, width = grid.shape
     down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
-    across = jnp.pad(_mirrored_gaussian(width - 2, variance), ((1, 1), (0, 0)), "edge")
-    across = jnp.pad(across, ((0, 0), (0, 2)))  # what the two columns more hold is dropped
-    grid = _times(grid.reshape(-1, width), across.T).reshape(bins * count, rows, width)
-    return _product(down, grid).reshape(bins, count, -1, width)
+    across = jnp.pad(_mirrored_gaussian(width - 2, variance).T, ((0, 0), (1, 1)), "edge")
+    across = jnp.pad(across, ((0, 2), (0, 0)))  # what the two columns more hold is dropped
+    on_cpu = _in_groups if rows * width > _LARGE // 16 else _filtered
+
+    def filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
+        return lax.platform_dependent(kernels, grid, cpu=on_cpu, default=_filtered)
+
+    def transposed(kernels: Kernels, cotangent: jax.Array) -> jax.Array:
+        # fast on a CPU only with the matrices stored transposed
+        return filtered(store((kernels[0].T, kernels[1].T)), cotangent)
+
+    kernels, planes = (down, across), grid.reshape(-1, rows, width)
+    return linear_call(filtered, transposed, kernels, planes).reshape(bins, count, -1, width)
 
 
 @_blurred_in_space.defjvp
@@ -141,23 +147,33 @@ def _blurred_in_space_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
     return y, change + scaled(d_variance, store(bordered))
 
 
-def _product(matrix: jax.Array, grid: jax.Array) -> jax.Array:
-    """`matrix @ grid`, plane by plane: for a single product XLA transposes the grid, before and after.
-
-    The transpose is fast on a CPU only with the matrix stored transposed. Elsewhere it is a sum: a product
-    would store the matrix once for each plane.
-    """
+def _filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
+    """`down @ plane @ across` for each of (planes, rows, columns)."""
+    down, across = kernels
+    turned = _times(grid.reshape(-1, grid.shape[2]), across).reshape(*grid.shape[:2], -1)
 
     def by_plane(m: jax.Array, g: jax.Array) -> jax.Array:
+        # for a single product XLA transposes the grid, before and after
         return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
 
     def summed(m: jax.Array, g: jax.Array) -> jax.Array:
+        # a product would store the matrix once for each plane
         return fused_sum(m.T[:, :, None] * g[:, :, None], 1)
 
-    def each(m: jax.Array, g: jax.Array) -> jax.Array:
-        return lax.platform_dependent(m, g, cpu=by_plane, default=summed)
+    return lax.platform_dependent(down, turned, cpu=by_plane, default=summed)
 
-    return linear_call(each, lambda m, c: each(store(m.T), c), matrix, grid)
+
+def _in_groups(kernels: Kernels, grid: jax.Array) -> jax.Array:
+    """`_filtered`, some planes at a time, each where it was: in half of the memory."""
+    height, (count, rows, width) = kernels[0].shape[0], grid.shape
+    some = math.gcd(count, _UNROLLED)
+
+    def body(i: jax.Array, planes: jax.Array) -> jax.Array:
+        own = lax.dynamic_slice(planes, (i * some, 0, 0), (some, rows, width))
+        return lax.dynamic_update_slice_in_dim(planes, _filtered(kernels, own), i * some, 0)
+
+    room = jnp.pad(grid, ((0, 0), (0, max(height - rows, 0)), (0, 0)))
+    return lax.fori_loop(0, count // some, body, room)[:, :height]
 
 
 def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
