@@ -8,8 +8,8 @@ from jaxisp.domains import Mosaic
 from jaxisp.numerics import straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.denoise.median import median_plane
 from jaxisp.stages.noise import pattern_key
-from jaxisp.windows import pad, square, views
 
 
 @parameters
@@ -118,33 +118,8 @@ def defect_correction(params: DefectCorrection, image: Mosaic) -> Mosaic:
 
     Source: Jaroensri et al. 2019, section 3; Paeth 1990 and Smith 1996 (median of 9 by comparisons).
     """
-    middle = _median(image)
+    middle = median_plane(image, "3x3", 2)
     excess = jnp.abs(image - middle) - params.threshold
     soft = jax.nn.sigmoid(excess / (0.05 * params.threshold + 1e-4))
     gate = straight_through((excess > 0).astype(image.dtype), soft)
     return straight_through(jnp.where(excess > 0, middle, image), image + gate * (middle - image))
-
-
-def _median(plane: jax.Array) -> jax.Array:
-    """The median of the 3x3 same-colour photosites around each."""
-    padded = pad(plane, 2)
-    middle = lax.stop_gradient(_median_network(padded))
-    taps = views(padded, [(2 * dy, 2 * dx) for dy, dx in square(1)], 2)
-    hits = [lax.stop_gradient((tap == middle).astype(plane.dtype)) for tap in taps]
-    # taking the gradient here and not through the network saves its 40 comparisons on the way back
-    shared = sum((h * t for h, t in zip(hits, taps)), jnp.zeros_like(plane))
-    return straight_through(middle, shared / sum(hits))
-
-
-def _median_network(padded: jax.Array) -> jax.Array:
-    """(H, W) of an (H + 4, W + 4) plane: columns sorted once, then the middle of the three middles."""
-    columns = lax.optimization_barrier(_sort3(*views(padded, [(-2, 0), (0, 0), (2, 0)], (2, 0))))
-    low, mid, high = (views(rank, [(0, -2), (0, 0), (0, 2)], (0, 2)) for rank in columns)
-    largest_low = jnp.maximum(jnp.maximum(low[0], low[1]), low[2])
-    smallest_high = jnp.minimum(jnp.minimum(high[0], high[1]), high[2])
-    return _sort3(largest_low, _sort3(*mid)[1], smallest_high)[1]
-
-
-def _sort3(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    low, high = jnp.minimum(a, b), jnp.maximum(a, b)
-    return jnp.minimum(low, c), jnp.maximum(low, jnp.minimum(high, c)), jnp.maximum(high, c)

@@ -11,6 +11,7 @@ import scipy.stats
 
 from jaxisp.cfa import PATTERNS
 from jaxisp.stages import defects, sensor
+from jaxisp.stages.denoise.median import median_plane
 from tests.conftest import smooth_image
 
 SHAPE = (21, 34)
@@ -136,12 +137,12 @@ def test_gradient_of_the_median_is_exact(x64):
     """With everything well above the threshold the gate is flat and the output is the median."""
     image = np.random.default_rng(2).uniform(size=SHAPE)
     weights, direction = np.random.default_rng(3).standard_normal((2, *SHAPE))
-    median = jax.jit(lambda x: jnp.sum(defects._median(x) * weights))
+    median = jax.jit(lambda x: jnp.sum(median_plane(x, "3x3", 2) * weights))
     got = np.sum(jax.grad(median)(image) * direction)
     want = (median(image + 1e-8 * direction) - median(image - 1e-8 * direction)) / 2e-8
     np.testing.assert_allclose(got, want, rtol=1e-5)
     np.testing.assert_allclose(jax.jvp(median, (image,), (direction,))[1], want, rtol=1e-5)
-    flat = jax.grad(lambda x: jnp.sum(defects._median(x)))(np.full(SHAPE, 0.3))
+    flat = jax.grad(lambda x: jnp.sum(median_plane(x, "3x3", 2)))(np.full(SHAPE, 0.3))
     np.testing.assert_allclose(flat[4:-4, 4:-4], 1, rtol=1e-12, err_msg="shared among equals")
 
 

@@ -17,65 +17,72 @@ from jaxisp.stages.denoise.networks import MEDIANS
 from jaxisp.striping import in_strips_on_cpu
 from jaxisp.windows import edge_counts, pad, views
 
+Offsets = tuple[tuple[int, int], ...]
 _LARGE = 8  # times the usual: up to that three planes leave a CPU with less than 32 MB of scratch
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
-def median_plane(plane: jax.Array, footprint: str) -> jax.Array:
+@partial(jax.custom_jvp, nondiff_argnums=(1, 2))
+def median_plane(plane: jax.Array, footprint: str, step: int = 1) -> jax.Array:
     """Median filter of an (H, W) plane, borders reflected.
 
     Args:
         plane: (H, W).
         footprint: "3x3", "5x5", or "cross" (a pixel and its 4 neighbours).
+        step: how far apart the pixels of the footprint are [px]; 2 keeps to one colour of a mosaic.
 
     Returns:
         (H, W). Equal to `scipy.ndimage.median_filter(..., mode="mirror")`.
 
     Gradient: exact where the median is one pixel: it goes there. Pixels tied with it share it equally.
     """
-    return materialize(in_strips_on_cpu(MEDIANS[footprint][0], plane, _radius(footprint), large=_LARGE))
+    network, offsets = MEDIANS[footprint]
+    reach = _reach(_apart(offsets, step))
+    return materialize(in_strips_on_cpu(partial(network, step=step), plane, reach, large=_LARGE))
 
 
 @median_plane.defjvp
-def _median_jvp(footprint: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+def _median_jvp(footprint: str, step: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (plane,), (change,) = primals, tangents
-    out = median_plane(plane, footprint)
-    return out, linear_call(
-        partial(_tangent, footprint), partial(_cotangent, footprint), (plane, out), change
-    )
+    out = median_plane(plane, footprint, step)
+    offsets = _apart(MEDIANS[footprint][1], step)
+    return out, linear_call(partial(_tangent, offsets), partial(_cotangent, offsets), (plane, out), change)
 
 
-def _tangent(footprint: str, saved: Any, change: jax.Array) -> jax.Array:
+def _tangent(offsets: Offsets, saved: Any, change: jax.Array) -> jax.Array:
     """The mean change of the pixels that are equal to the median."""
     plane, out = saved
-    near, changes = (_near(x, footprint) for x in (plane, change))
+    near, changes = (_near(x, offsets) for x in (plane, change))
     equal = [value == out for value in near]
     total = reduce(jnp.add, [jnp.where(e, c, 0) for e, c in zip(equal, changes)])
     return total / _count(equal, out.dtype)
 
 
-def _cotangent(footprint: str, saved: Any, cotangent: jax.Array) -> jax.Array:
+def _cotangent(offsets: Offsets, saved: Any, cotangent: jax.Array) -> jax.Array:
     plane, out = saved
     frame = (plane, out, cotangent, edge_counts(plane.shape, plane.dtype))
-    return in_strips_on_cpu(partial(_collected, footprint), frame, 2 * _radius(footprint))
+    return in_strips_on_cpu(partial(_collected, offsets), frame, 2 * _reach(offsets))
 
 
-def _collected(footprint: str, frame: Any) -> jax.Array:
+def _collected(offsets: Offsets, frame: Any) -> jax.Array:
     """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
     plane, out, cotangent, counts = frame
-    equal = [value == out for value in _near(plane, footprint)]
+    equal = [value == out for value in _near(plane, offsets)]
     share, out = materialize((counts * cotangent / _count(equal, out.dtype), out))
-    medians, shares = (_near(x, footprint) for x in (out, share))
+    medians, shares = (_near(x, offsets) for x in (out, share))
     return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]) / counts
 
 
-def _radius(footprint: str) -> int:
-    return max(dy for dy, _ in MEDIANS[footprint][1])
+def _apart(offsets: Offsets, step: int) -> Offsets:
+    return tuple((step * dy, step * dx) for dy, dx in offsets)
 
 
-def _near(plane: jax.Array, footprint: str) -> list[jax.Array]:
-    radius = _radius(footprint)
-    return views(pad(plane, radius), MEDIANS[footprint][1], radius)
+def _reach(offsets: Offsets) -> int:
+    return max(dy for dy, _ in offsets)
+
+
+def _near(plane: jax.Array, offsets: Offsets) -> list[jax.Array]:
+    reach = _reach(offsets)
+    return views(pad(plane, reach), offsets, reach)
 
 
 def _count(equal: list[jax.Array], dtype: jnp.dtype) -> jax.Array:

@@ -49,30 +49,31 @@ def compare(values: list[jax.Array], network: Network) -> list[jax.Array]:
     return values
 
 
-def median_cross(plane: jax.Array) -> jax.Array:
-    """Median of a pixel and its 4 neighbours, borders reflected."""
-    return compare(views(pad(plane, 1), CROSS, 1), MEDIAN_5)[2]
+def median_cross(plane: jax.Array, step: int = 1) -> jax.Array:
+    """Median of a pixel and its 4 neighbours `step` px away, borders reflected."""
+    return compare(views(pad(plane, step), [(step * dy, step * dx) for dy, dx in CROSS], step), MEDIAN_5)[2]
 
 
-def median_3x3(plane: jax.Array) -> jax.Array:
-    """Median of 3x3 pixels, borders reflected."""
-    return _median_square(plane, 1, SORT_3, MEDIAN_3X3)
+def median_3x3(plane: jax.Array, step: int = 1) -> jax.Array:
+    """Median of 3x3 pixels `step` px apart, borders reflected."""
+    return _median_square(plane, 1, step, SORT_3, MEDIAN_3X3)
 
 
-def median_5x5(plane: jax.Array) -> jax.Array:
-    """Median of 5x5 pixels, borders reflected."""
-    return _median_square(plane, 2, SORT_5, MEDIAN_5X5)
+def median_5x5(plane: jax.Array, step: int = 1) -> jax.Array:
+    """Median of 5x5 pixels `step` px apart, borders reflected."""
+    return _median_square(plane, 2, step, SORT_5, MEDIAN_5X5)
 
 
-def _median_square(plane: jax.Array, radius: int, sort: Network, select: Network) -> jax.Array:
+def _median_square(plane: jax.Array, radius: int, step: int, sort: Network, select: Network) -> jax.Array:
     """Columns are sorted anew for each window that shares them: to store them takes a CPU longer."""
-    span = range(-radius, radius + 1)
-    padded = pad(plane, radius)
-    columns = [compare(views(padded, [(dy, dx) for dy in span], radius), sort) for dx in span]
+    reach = step * radius
+    span = range(-reach, reach + 1, step)
+    padded = pad(plane, reach)
+    columns = [compare(views(padded, [(dy, dx) for dy in span], reach), sort) for dx in span]
     return compare([column[rank] for rank in range(2 * radius + 1) for column in columns], select)[4]
 
 
-MEDIANS: dict[str, tuple[Callable[[jax.Array], jax.Array], tuple[tuple[int, int], ...]]] = {
+MEDIANS: dict[str, tuple[Callable[..., jax.Array], tuple[tuple[int, int], ...]]] = {
     "cross": (median_cross, CROSS),
     "3x3": (median_3x3, tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))),
     "5x5": (median_5x5, tuple((dy, dx) for dy in range(-2, 3) for dx in range(-2, 3))),
