@@ -6,11 +6,12 @@ import jax.numpy as jnp
 from jaxisp import cfa as bayer
 from jaxisp.channels import planes
 from jaxisp.domains import Image, LinearRGB, Mosaic
-from jaxisp.linear import pointwise
+from jaxisp.linear import linear_call, pointwise, scaled
 from jaxisp.numerics import clip_through, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.windows import pad, views
+from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
+from jaxisp.windows import edge_counts, pad
 
 
 @register
@@ -281,8 +282,20 @@ def crosstalk(params: Crosstalk, image: Mosaic) -> Mosaic:
 
     Source: Hirakawa 2008, "Cross-talk explained".
     """
-    offsets = [(0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)]
-    left, right, up, down, *corners = views(pad(image, 1), offsets, 1)
-    shares = [p.astype(image.dtype) for p in (params.horizontal, params.vertical, params.diagonal)]
-    means = [0.5 * (left + right), 0.5 * (up + down), 0.25 * sum(corners[1:], corners[0])]
-    return image + sum(share * (mean - image) for share, mean in zip(shares, means))
+    means = linear_call(lambda _, x: _means(x), lambda _, y: _collected(y), (), image)
+    shares = (p.astype(image.dtype) for p in (params.horizontal, params.vertical, params.diagonal))
+    return image + sum(scaled(share, mean - image) for share, mean in zip(shares, means))
+
+
+def _means(image: jax.Array) -> tuple[jax.Array, ...]:
+    """Those of the neighbours in the row, in the column and on the diagonals."""
+    padded = pad(image, 1)
+    row, column = row_and_column_sums(padded, 1)
+    return 0.5 * row, 0.5 * column, 0.25 * diagonal_sum(padded, 1)
+
+
+def _collected(cotangents: tuple[jax.Array, ...]) -> jax.Array:
+    """The transpose of `_means`: as each is symmetric, the same means, edges weighted."""
+    counts = edge_counts(cotangents[0].shape, cotangents[0].dtype)
+    means = [_means(counts * c)[i] for i, c in enumerate(cotangents)]
+    return (means[0] + means[1] + means[2]) / counts

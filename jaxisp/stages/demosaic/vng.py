@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import Sites, sites
-from jaxisp.stages.demosaic.linear import piecewise_linear, transposed
+from jaxisp.stages.demosaic.common import Pair, Sites, sites
+from jaxisp.stages.demosaic.linear import piecewise_linear
 from jaxisp.windows import pad, views
 
 REACH = 2
@@ -47,7 +47,7 @@ def demosaic_vng(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
     """
     check_cfa(cfa)
     forward = partial(_with_weights, cfa)
-    return piecewise_linear(partial(_evaluate, cfa), forward, transposed(forward))(image)
+    return piecewise_linear(partial(_evaluate, cfa), forward, partial(_collected, cfa))(image)
 
 
 def _evaluate(cfa: str, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
@@ -103,19 +103,66 @@ def _mean(padded: jax.Array, offsets: list[Offset]) -> jax.Array:
     return reduce(jnp.add, views(padded, offsets, 2)) / len(offsets)
 
 
-def _straight_means(at: Sites, padded: jax.Array, dy: int, dx: int) -> tuple[jax.Array, ...]:
-    own = _mean(padded, [(0, 0), (2 * dy, 2 * dx)])
-    near = _mean(padded, [(dy, dx)])
+def _straight_offsets(dy: int, dx: int) -> tuple[list[Offset], ...]:
+    """Where the own colour is on that side, the nearest, the green beside it and the opposite colour."""
     beside = [(k * dy + s * dx, k * dx + s * dy) for k in (0, 2) for s in (-1, 1)]
-    around = _mean(padded, beside)
-    opposite = _mean(padded, [(dy + dx, dx + dy), (dy - dx, dx - dy)])
+    return [(0, 0), (2 * dy, 2 * dx)], [(dy, dx)], beside, [(dy + dx, dx + dy), (dy - dx, dx - dy)]
+
+
+def _straight_means(at: Sites, padded: jax.Array, dy: int, dx: int) -> tuple[jax.Array, ...]:
+    own, near, around, opposite = (_mean(padded, offsets) for offsets in _straight_offsets(dy, dx))
     first, second = (near, around) if dy == 0 else (around, near)
     return own, jnp.where(at.green, first, near), jnp.where(at.green, second, opposite)
 
 
+def _diagonal_offsets(dy: int, dx: int) -> tuple[list[Offset], ...]:
+    """Where the own colour is, the next photosite, and of those between the ones in rows and in columns."""
+    return [(0, 0), (2 * dy, 2 * dx)], [(dy, dx)], [(0, dx), (2 * dy, dx)], [(dy, 0), (dy, 2 * dx)]
+
+
 def _diagonal_means(at: Sites, padded: jax.Array, dy: int, dx: int) -> tuple[jax.Array, ...]:
-    next_to = _mean(padded, [(dy, dx)])
-    own = jnp.where(at.green, next_to, _mean(padded, [(0, 0), (2 * dy, 2 * dx)]))
-    greens = _mean(padded, [(dy, 0), (0, dx), (2 * dy, dx), (dy, 2 * dx)])
-    in_row, in_column = _mean(padded, [(0, dx), (2 * dy, dx)]), _mean(padded, [(dy, 0), (dy, 2 * dx)])
+    far, near, rows, columns = _diagonal_offsets(dy, dx)
+    next_to, greens = _mean(padded, near), _mean(padded, rows + columns)
+    own = jnp.where(at.green, next_to, _mean(padded, far))
+    in_row, in_column = _mean(padded, rows), _mean(padded, columns)
     return own, jnp.where(at.green, in_row, greens), jnp.where(at.green, in_column, next_to)
+
+
+def _collected(cfa: str, *args: jax.Array) -> jax.Array:
+    """The adjoint of `_with_weights`: a photosite collects from the pixels in whose means it is."""
+    *weights, cotangent = args
+    height, width = cotangent.shape[:2]
+    at, (red, green, blue) = sites((height, width), cfa), planes(cotangent)
+    of_row, of_column = jnp.where(at.red_row, red, blue), jnp.where(at.red_row, blue, red)
+    first, second = jnp.where(at.green, of_row, green), jnp.where(at.green | at.red, of_column, red)
+    # a border of two photosites stands before the frame: the pattern goes on in it
+    wide = jnp.zeros((height + 4, width + 4), cotangent.dtype)
+    on_green = sites(wide.shape, cfa).green
+    for weight, offset in zip(weights, _STRAIGHT + _DIAGONAL, strict=True):
+        collect = _from_straight if 0 in offset else _from_diagonal
+        own, one, other = (
+            pad(materialize(weight * v), 4, "constant") for v in (first + second, first, second)
+        )
+        wide = materialize(wide + jnp.where(on_green, *collect(own, one, other, *offset)))
+    back = jax.linear_transpose(
+        lambda image: pad(image, 2), jax.ShapeDtypeStruct((height, width), wide.dtype)
+    )
+    return red + green + blue + back(wide)[0]
+
+
+def _back(offsets: list[Offset]) -> list[Offset]:
+    return [(-dy, -dx) for dy, dx in offsets]
+
+
+def _from_straight(own: jax.Array, first: jax.Array, second: jax.Array, dy: int, dx: int) -> Pair:
+    """What green and other photosites get from cotangents of the means, one direction's."""
+    far, near, beside, opposite = map(_back, _straight_offsets(dy, dx))
+    in_line, across = (first, second) if dy == 0 else (second, first)
+    others = _mean(in_line, near) + _mean(across, beside) + _mean(second, opposite)
+    return _mean(first, near) - _mean(own, far), others - _mean(own, far)
+
+
+def _from_diagonal(own: jax.Array, first: jax.Array, second: jax.Array, dy: int, dx: int) -> Pair:
+    far, near, rows, columns = map(_back, _diagonal_offsets(dy, dx))
+    others = _mean(second, near) + _mean(first, rows) + _mean(second, columns)
+    return _mean(first, rows + columns) - _mean(own, near), others - _mean(own, far)
