@@ -120,8 +120,8 @@ def total(image: jax.Array) -> jax.Array:
 
     By a product with ones: XLA's CPU code takes ten times as long to reduce an image to a number.
     """
-    rows = image.reshape(image.shape[0], -1)
-    return jnp.matmul(rows, jnp.ones(rows.shape[1], rows.dtype), precision=lax.Precision.HIGHEST).sum()
+    rows = image.reshape(*image.shape[:1], -1)
+    return jnp.matmul(rows, jnp.ones(rows.shape[-1], rows.dtype), precision=lax.Precision.HIGHEST).sum()
 
 
 def mean(image: jax.Array) -> jax.Array:

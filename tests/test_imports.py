@@ -11,7 +11,18 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
     {"errors", "cache", "cores"},
-    {"params", "domains", "numerics", "linear", "channels", "groups", "striping", "jpeg_blocks", "selfcheck"},
+    {
+        "params",
+        "domains",
+        "numerics",
+        "linear",
+        "shares",
+        "channels",
+        "groups",
+        "striping",
+        "jpeg_blocks",
+        "selfcheck",
+    },
     {"checks", "priors", "windows", "cfa", "color", "colorimetry", "jpeg_tables", "metrics", "losses"},
     {"registry"},
     {"node"},

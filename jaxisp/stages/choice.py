@@ -9,9 +9,10 @@ from jax import lax
 from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
-from jaxisp.numerics import round_through, weighted
+from jaxisp.numerics import barrier_on_cpu, round_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.shares import as_rows, weighted
 from jaxisp.stages.demosaic import (
     demosaic_ahd,
     demosaic_bilinear,
@@ -65,13 +66,13 @@ def demosaicking(
 
     Source: see the stages named.
     """
-    start = DEMOSAICKERS[algorithm](image, cfa=cfa)
+    start = as_rows(DEMOSAICKERS[algorithm](image, cfa=cfa))
     change = jnp.zeros_like(start)
     for share, (name, run) in zip(params.shares, DEMOSAICKERS.items()):
         if name == algorithm:  # D less D
             continue
-        change = change + weighted(lambda m, s, run=run: run(m, cfa=cfa) - s, share, image, start)
-    return start + change
+        change = change + weighted(lambda m, s, run=run: as_rows(run(m, cfa=cfa)) - s, share, image, start)
+    return barrier_on_cpu(start + change).reshape(*image.shape, 3)
 
 
 @parameters

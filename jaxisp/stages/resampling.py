@@ -10,9 +10,10 @@ from jax import lax
 
 from jaxisp.channels import interleaved, per_plane, planes
 from jaxisp.domains import RGB
-from jaxisp.numerics import materialize, safe_divide, weighted
+from jaxisp.numerics import barrier_on_cpu, materialize, safe_divide
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.shares import as_rows, weighted
 
 
 def _triangle(t: Any) -> Any:
@@ -242,12 +243,16 @@ def rescaling(params: Rescaling, image: RGB) -> RGB:
 
     Source: Keys 1981; Turkowski 1990.
     """
-    first = resampling(Resampling(factor=params.factor), image)
+
+    def resampled(factor: jax.Array, x: jax.Array, **way: Any) -> jax.Array:
+        return as_rows(resampling(Resampling(factor=factor), x, **way))
 
     def beyond(factor: jax.Array, x: jax.Array, first: jax.Array, **way: Any) -> jax.Array:
-        return resampling(Resampling(factor=factor), x, **way) - first
+        return resampled(factor, x, **way) - first
+
+    first = resampled(params.factor, image)
 
     mixed = first
     for share, way in zip(params.shares, _OTHER_WAYS):
         mixed = mixed + weighted(partial(beyond, **way), share, params.factor, image, first)
-    return mixed
+    return barrier_on_cpu(mixed).reshape(image.shape)

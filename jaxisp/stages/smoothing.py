@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, reduce
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,11 @@ from jax import lax
 from jaxisp.channels import interleaved, per_plane, planes
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import EncodedRGB, LinearRGB
-from jaxisp.numerics import materialize, weighted
+from jaxisp.linear import inner_product, linear_call
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.shares import weighted
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.windows import filter_rows_columns, gaussian_blur, pad, views
@@ -203,9 +206,32 @@ def _moved_along(dy: int, dx: int, image: jax.Array, length: jax.Array) -> jax.A
 
 
 def _box_along(plane: jax.Array, length: jax.Array, dy: int, dx: int, reach: int = 6) -> jax.Array:
-    unit = math.hypot(dy, dx)
     steps = range(-reach, reach + 1)
-    inside = [jnp.clip(length / unit / 2 + 0.5 - abs(k), 0, 1) for k in steps]
-    weights = [w / sum(inside[1:], inside[0]) for w in inside]
-    moved = views(pad(plane, reach), [(k * dy, k * dx) for k in steps], reach)
-    return sum((w * v for w, v in zip(weights[1:], moved[1:])), weights[0] * moved[0])
+    inside = jnp.stack([jnp.clip(length / math.hypot(dy, dx) / 2 + 0.5 - abs(k), 0, 1) for k in steps])
+    return _line(pad(plane, reach), inside / inside.sum(), (dy, dx))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _line(padded: jax.Array, taps: jax.Array, step: tuple[int, int]) -> jax.Array:
+    """The sum over taps along a line of `taps[k]` times the plane moved by k steps, without its border."""
+    return reduce(jnp.add, (t * v for t, v in zip(taps, _moved(padded, len(taps), step))))
+
+
+@_line.defjvp
+def _line_jvp(step: tuple[int, int], primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    (padded, taps), (d_padded, d_taps) = primals, tangents
+
+    def spread(taps: jax.Array, y: jax.Array) -> jax.Array:
+        return _line(pad(y, len(taps) - 1, "constant"), taps[::-1], step)
+
+    def products(padded: jax.Array, y: jax.Array) -> jax.Array:
+        return jnp.stack([inner_product(y, v) for v in _moved(padded, len(taps), step)])
+
+    by_plane = linear_call(lambda t, p: _line(p, t, step), spread, taps, d_padded)
+    by_taps = linear_call(lambda p, t: _line(p, t, step), products, padded, d_taps)
+    return _line(padded, taps, step), by_plane + by_taps
+
+
+def _moved(padded: jax.Array, count: int, step: tuple[int, int]) -> list[jax.Array]:
+    reach = count // 2
+    return views(padded, [(k * step[0], k * step[1]) for k in range(-reach, reach + 1)], reach)

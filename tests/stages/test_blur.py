@@ -8,6 +8,7 @@ from scipy import integrate, ndimage, signal
 
 from jaxisp.pipeline import stage
 from jaxisp.stages import blur
+from jaxisp.stages.smoothing import STEPS, DirectionalBlur
 
 from .lens import SHAPE, H, W, apply, picture
 
@@ -203,3 +204,16 @@ def test_lengths_need_as_many_directions():
     params = blur.MotionBlur(lengths=np.ones(2, np.float32))
     with pytest.raises(TypeError, match=r"\(2,\) lengths but \(3,\) directions"):
         stage("motion_blur")({"motion_blur": params}, picture())
+
+
+@pytest.mark.parametrize("along", range(len(STEPS)))
+@pytest.mark.parametrize("length", [0.0, 2.5, 7.0])
+def test_directional_blur_against_scipy(along, length, x64):
+    (dy, dx), image = STEPS[along], picture(dtype=np.float64)
+    share = np.clip(length / np.hypot(dy, dx) / 2 + 0.5 - np.abs(np.arange(-6, 7)), 0, 1)
+    kernel = np.zeros((13, 13))
+    for k, weight in zip(range(-6, 7), share / share.sum()):
+        kernel[6 + k * dy, 6 + k * dx] = weight
+    want = np.stack([ndimage.correlate(p, kernel, mode="mirror") for p in np.moveaxis(image, -1, 0)], -1)
+    got = apply(DirectionalBlur(lengths=np.eye(len(STEPS))[along] * length), image)
+    np.testing.assert_allclose(got, want, atol=1e-12)
