@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.channels import interleaved, planes
+from jaxisp.linear import scaled
 
 LUMA_601 = (0.299, 0.587, 0.114)
 """Rec. 601 luma weights of R', G', B', as JFIF uses them."""
@@ -40,7 +41,7 @@ def apply_matrix(matrix: jax.Array | np.ndarray, image: jax.Array) -> jax.Array:
     """`matrix @ pixel` for an (H, W, 3) image, written out: an einsum is 24 times slower on a CPU."""
     m = jnp.asarray(matrix, image.dtype)
     r, g, b = planes(image)
-    return interleaved([m[i, 0] * r + m[i, 1] * g + m[i, 2] * b for i in range(3)])
+    return interleaved([scaled(m[i, 0], r) + scaled(m[i, 1], g) + scaled(m[i, 2], b) for i in range(3)])
 
 
 def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:

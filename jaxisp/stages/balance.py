@@ -8,6 +8,7 @@ from jaxisp.channels import interleaved, planes
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
+from jaxisp.linear import scaled
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -172,7 +173,7 @@ def saturation(params: Saturation, image: RGB) -> RGB:
     """
     r, g, b = planes(image)
     y = luma(r, g, b)
-    return interleaved([y + params.amount * (c - y) for c in (r, g, b)])
+    return interleaved([y + scaled(params.amount.astype(y.dtype), c - y) for c in (r, g, b)])
 
 
 @parameters
@@ -202,4 +203,5 @@ def hue_rotation(params: HueRotation, image: RGB) -> RGB:
     y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
     angle = params.angle * (jnp.pi / 180)
     cos, sin = jnp.cos(angle), jnp.sin(angle)
-    return interleaved(ycbcr_to_rgb_planes(y, cos * cb - sin * cr, sin * cb + cos * cr))
+    turned = scaled(cos, cb) - scaled(sin, cr), scaled(sin, cb) + scaled(cos, cr)
+    return interleaved(ycbcr_to_rgb_planes(y, *turned))

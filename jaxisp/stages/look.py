@@ -160,7 +160,7 @@ def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
 @jax.custom_jvp
 def _by_hue(hue: jax.Array, amounts: tuple[jax.Array, ...]) -> list[jax.Array]:
     """What each list of amounts has at a hue [rad]: raised cosines from one sector's middle to the next's."""
-    first, share = _sectors(hue)
+    first, share = materialize(_sectors(hue))
     values = [jnp.zeros_like(hue) for _ in amounts]
     for k in range(SECTORS):
         here = first == k
@@ -180,7 +180,7 @@ def _by_hue_jvp(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[jax.
 
 def _gathered(hue: jax.Array, cotangents: list[jax.Array]) -> tuple[jax.Array, ...]:
     """The transpose to the amounts, as products: autodiff sums over the picture once for each of them."""
-    first, share = _sectors(hue)
+    first, share = materialize(_sectors(hue))
     before = [jnp.where(first == k, 1 - share, 0) for k in range(SECTORS)]
     after = [jnp.where(first == (k - 1) % SECTORS, share, 0) for k in range(SECTORS)]
     weights = materialize(jnp.stack([a + b for a, b in zip(before, after)])).reshape(SECTORS, -1)
@@ -250,6 +250,7 @@ def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:
     rows, columns = (-n % _REDUCED for n in (h, w))
     padded = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
     small = padded.reshape((h + rows) // _REDUCED, _REDUCED, (w + columns) // _REDUCED, _REDUCED).mean((1, 3))
+    small = materialize(small)  # or the gradient would be blurred anew for each pixel of a block
     # a block's 15/12 px2 and the 16/6 px2 of linear interpolation back spread by themselves: 0.245 blocks
     spread = jnp.maximum((jnp.asarray(sigma, plane.dtype) / _REDUCED) ** 2 - 0.245, 0.1)
     small = gaussian_blur(small, jnp.sqrt(spread), 30)

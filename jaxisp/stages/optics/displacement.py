@@ -315,7 +315,7 @@ def _spread(total: jax.Array, y: jax.Array, x: jax.Array, values: jax.Array) -> 
     numbers = lax.ScatterDimensionNumbers((1,), (), (0,))
     flat = total.reshape(-1)
     for step, share in ((0, 1 - fy), (w * channels, fy)):
-        pairs = jnp.concatenate([share * (1 - fx) * values, share * fx * values], axis=-1)
+        pairs = (share * jnp.where(np.arange(2) == 0, 1 - fx, fx))[..., None] * values[..., None, :]
         updates, mode = pairs.reshape(-1, 2 * channels), lax.GatherScatterMode.PROMISE_IN_BOUNDS
         flat = lax.scatter_add(flat, index + step, materialize(updates), numbers, mode=mode)
     return flat.reshape(total.shape)

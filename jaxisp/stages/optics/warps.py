@@ -9,6 +9,7 @@ from jax import lax
 
 from jaxisp.channels import interleaved, planes
 from jaxisp.domains import LinearRGB
+from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
@@ -118,7 +119,7 @@ def _read(image: jax.Array, dy: jax.Array, dx: jax.Array, sharpness: Leaf) -> ja
     by_row, by_column = _second_difference(image, 0), _second_difference(image, 1)
     whole = jnp.concatenate([image, by_row, by_column, _second_difference(by_row, 1)], -1)
     plain, rows, columns, both = jnp.split(displaced(whole, dy, dx), 4, -1)
-    return plain - down * rows - across * columns + down * across * both
+    return materialize(plain - down * rows - across * columns + down * across * both)
 
 
 @parameters
