@@ -90,8 +90,10 @@ def views(
     return [lax.slice(padded, (ry + dy, rx + dx), (ry + dy + h, rx + dx + w)) for dy, dx in offsets]
 
 
-def edge_counts(shape: tuple[int, ...], dtype: Any) -> jax.Array:
-    """(H, W): 2 on the first and last row, times 2 on the first and last column, else 1.
+def edge_counts(shape: tuple[int, ...], dtype: Any, edge: float = 2) -> jax.Array:
+    """(H, W): `edge` on the first and last row, times `edge` on the first and last column, else 1.
+
+    With 0.5 in place of 2 it is the inverse, without a division, whose result XLA would store.
 
     It turns the adjoint of a reflected window into a reflected window. With `out_p = sum_q f(q, p)`
     over the window of p, an interior q meets p directly and through its own mirror image, which is as
@@ -102,9 +104,9 @@ def edge_counts(shape: tuple[int, ...], dtype: Any) -> jax.Array:
     def line(axis: int) -> jax.Array:
         index = lax.broadcasted_iota(jnp.int32, shape, axis)
         last = shape[axis] - 1
-        return jnp.where(((index == 0) | (index == last)) & (last > 0), 2, 1)
+        return jnp.where(((index == 0) | (index == last)) & (last > 0), jnp.asarray(edge, dtype), 1)
 
-    return (line(0) * line(1)).astype(dtype)
+    return line(0) * line(1)
 
 
 def square(radius: int) -> list[tuple[int, int]]:

@@ -10,7 +10,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
-    {"errors", "cache", "cores"},
+    {"errors", "cache", "cores", "memory"},
     {
         "params",
         "domains",

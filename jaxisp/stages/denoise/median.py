@@ -59,17 +59,18 @@ def _tangent(offsets: Offsets, saved: Any, change: jax.Array) -> jax.Array:
 
 def _cotangent(offsets: Offsets, saved: Any, cotangent: jax.Array) -> jax.Array:
     plane, out = saved
-    frame = (plane, out, cotangent, edge_counts(plane.shape, plane.dtype))
-    return in_strips_on_cpu(partial(_collected, offsets), frame, 2 * _reach(offsets))
+    counts, inverse = (edge_counts(plane.shape, plane.dtype, edge) for edge in (2, 0.5))
+    frame = (plane, out, counts * cotangent)
+    return inverse * in_strips_on_cpu(partial(_collected, offsets), frame, 2 * _reach(offsets))
 
 
 def _collected(offsets: Offsets, frame: Any) -> jax.Array:
     """The transpose as reads: each pixel asks its neighbours' medians whether they are equal to it."""
-    plane, out, cotangent, counts = frame
+    plane, out, cotangent = frame
     equal = [value == out for value in _near(plane, offsets)]
-    share, out = materialize((counts * cotangent / _count(equal, out.dtype), out))
+    share, out = materialize((cotangent / _count(equal, out.dtype), out))
     medians, shares = (_near(x, offsets) for x in (out, share))
-    return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)]) / counts
+    return reduce(jnp.add, [jnp.where(plane == m, s, 0) for m, s in zip(medians, shares)])
 
 
 def _apart(offsets: Offsets, step: int) -> Offsets:

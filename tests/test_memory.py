@@ -1,0 +1,39 @@
+"""Memory that is freed is kept: in processes of their own, as a setting cannot be taken back."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from jaxisp import memory
+
+PROGRAM = """
+import resource, sys
+from jaxisp.memory import keep_freed
+if sys.argv[1] == "keep":
+    assert keep_freed()
+import jax, jax.numpy as jnp
+frame = jnp.ones((4096, 4096))  # 64 MB
+reverse = jax.jit(lambda x: x[::-1] + 1)
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    reverse(frame).block_until_ready()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+print(min([faults() for _ in range(8)][2:]))
+"""
+
+
+def faults(how: str) -> int:
+    run = subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, text=True, check=True)
+    return int(run.stdout)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's")
+def test_large_blocks_are_not_taken_from_the_system_again():
+    assert faults("keep") < 100 < faults("leave")
+
+
+def test_without_glibc_nothing_is_changed(monkeypatch):
+    monkeypatch.setattr(platform, "libc_ver", lambda: ("", ""))
+    assert not memory.keep_freed()
