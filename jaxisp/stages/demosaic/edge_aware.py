@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import diagonal_sum, red_and_blue, row_and_column_sums, sites
+from jaxisp.stages.demosaic.common import collect, diagonal_sum, red_and_blue, row_and_column_sums, sites
 from jaxisp.stages.demosaic.hamilton_adams import share_of_rows
-from jaxisp.stages.demosaic.linear import piecewise_linear, transposed
+from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.windows import pad
 
 REACH = 1
@@ -40,7 +40,8 @@ def demosaic_edge_aware(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
     """
     check_cfa(cfa)
     forward = partial(_by_planes, cfa)
-    return piecewise_linear(partial(_evaluate, cfa), forward, transposed(forward))(image)
+    adjoint = mirrored(forward, partial(_collected, cfa), image.shape)
+    return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)
 
 
 def _evaluate(cfa: str, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array]]:
@@ -55,3 +56,13 @@ def _by_planes(cfa: str, share: jax.Array, image: jax.Array) -> jax.Array:
     green = jnp.where(at.green, image, share * (0.5 * row) + (1 - share) * (0.5 * column))
     red, blue = red_and_blue(at, image, 0.25 * diagonal_sum(padded, 1), 0.5 * row, 0.5 * column)
     return interleaved([red, green, blue])
+
+
+def _collected(cfa: str, share: jax.Array, cotangent: jax.Array) -> jax.Array:
+    """The adjoint of `_by_planes`: a sample collects, in its colour, from where it was spread."""
+    at = sites(share.shape, cfa)
+    red, green, blue = planes(cotangent)
+    row, _ = row_and_column_sums(pad(share * green, 1), 1)
+    _, column = row_and_column_sums(pad((1 - share) * green, 1), 1)
+    from_red, from_blue = (collect(pad(p, 1), 1) for p in (red, blue))
+    return jnp.where(at.red, from_red, jnp.where(at.blue, from_blue, green + 0.5 * (row + column)))

@@ -6,18 +6,20 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved
+from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     CROSS,
+    collect_differences,
+    collect_greens,
     directional_greens,
     row_and_column_sums,
     sites,
     spread_differences,
 )
-from jaxisp.stages.demosaic.linear import piecewise_linear, transposed
+from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.windows import pad, views
 
 REACH = 3
@@ -48,7 +50,8 @@ def demosaic_hamilton_adams(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
     """
     check_cfa(cfa)
     forward = partial(_by_differences, cfa)
-    return piecewise_linear(partial(_evaluate, cfa), forward, transposed(forward))(image)
+    adjoint = mirrored(forward, partial(_collected, cfa), image.shape)
+    return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)
 
 
 def _evaluate(cfa: str, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array]]:
@@ -83,3 +86,13 @@ def _by_differences(cfa: str, share: jax.Array, image: jax.Array) -> jax.Array:
     red, blue = spread_differences(at, pad(difference, 1))
     green = image - difference
     return interleaved([green + red, green, green + blue])
+
+
+def _collected(cfa: str, share: jax.Array, cotangent: jax.Array) -> jax.Array:
+    """The adjoint of `_by_differences`."""
+    at = sites(share.shape, cfa)
+    red, green, blue = planes(cotangent)
+    to_image = red + green + blue
+    to_difference = collect_differences(at, red, blue) - jnp.where(at.green, 0, to_image)
+    to_rows, to_columns = materialize((-share * to_difference, (share - 1) * to_difference))
+    return to_image + to_difference + collect_greens(at, to_rows, to_columns)

@@ -45,17 +45,6 @@ def piecewise_linear(
     return function
 
 
-def transposed(forward: Operator) -> Operator:
-    """The adjoint by autodiff, where the algorithm states none: slower than one written as reads."""
-
-    def adjoint(*args: jax.Array) -> jax.Array:
-        *held, cotangent = args
-        shape = jax.ShapeDtypeStruct(cotangent.shape[:2], cotangent.dtype)
-        return jax.linear_transpose(lambda x: forward(*held, x), shape)(cotangent)[0]
-
-    return adjoint
-
-
 def mirrored(
     forward: Operator, adjoint: Operator, shape: tuple[int, ...], channel_axis: int = -1
 ) -> Operator:
