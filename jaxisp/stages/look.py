@@ -16,11 +16,11 @@ from jaxisp.linear import linear_call, sums
 from jaxisp.numerics import clip, materialize, safe_sqrt
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.windows import gaussian_blur
 
 SECTORS = 16
 _DARK = 0.05  # below this maximum of the channels saturation, which is mostly noise there, fades
 _DARKEST, _EDGE = 0.004, 1.0  # of linear light; stops squared of variance above which an edge is kept
+_EXACT = lax.Precision.HIGHEST
 _REDUCED = 4  # local means are taken of blocks of 4x4: they are wide, and 16 times cheaper there
 
 
@@ -250,8 +250,24 @@ def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:
     rows, columns = (-n % _REDUCED for n in (h, w))
     padded = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
     small = padded.reshape((h + rows) // _REDUCED, _REDUCED, (w + columns) // _REDUCED, _REDUCED).mean((1, 3))
-    small = materialize(small)  # or the gradient would be blurred anew for each pixel of a block
     # a block's 15/12 px2 and the 16/6 px2 of linear interpolation back spread by themselves: 0.245 blocks
     spread = jnp.maximum((jnp.asarray(sigma, plane.dtype) / _REDUCED) ** 2 - 0.245, 0.1)
-    small = gaussian_blur(small, jnp.sqrt(spread), 30)
+    down, across = (_reflected_gaussian(n, spread, 30) for n in small.shape)
+    small = jnp.matmul(jnp.matmul(down, small, precision=_EXACT), across.T, precision=_EXACT)
     return jax.image.resize(small, padded.shape, "linear")[:h, :w]
+
+
+def _reflected_gaussian(n: int, variance: jax.Array, radius: int) -> jax.Array:
+    """(n, n): what `gaussian_blur` does along an axis; as a matrix it compiles in a tenth of the time."""
+    dtype = variance.dtype
+    place, period = jnp.arange(n, dtype=dtype), max(2 * (n - 1), 1)
+    edge = (place == 0) | (place == n - 1)  # is its own mirror image
+
+    def weight(distance: jax.Array) -> jax.Array:
+        return jnp.where(jnp.abs(distance) <= radius, jnp.exp(-0.5 * distance**2 / variance), 0)
+
+    total = jnp.zeros((n, n), dtype)
+    for turn in range(-(radius // period) - 1, radius // period + 2):
+        image, mirrored = turn * period + place, turn * period - place
+        total += weight(image - place[:, None]) + jnp.where(edge, 0, weight(mirrored - place[:, None]))
+    return total / weight(jnp.arange(-radius, radius + 1, dtype=dtype)).sum()
