@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 from scipy.interpolate import BSpline
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import correlate1d, gaussian_filter
 
 from jaxisp.pipeline import run, stage
-from jaxisp.stages.look import SECTORS, LocalToneMapping, SelectiveColor, SplineCurve, _by_hue
+from jaxisp.stages.look import (
+    SECTORS,
+    LocalToneMapping,
+    SelectiveColor,
+    SplineCurve,
+    _by_hue,
+    _reflected_gaussian,
+)
 from tests.conftest import smooth_image
 
 LUMA = np.array([0.299, 0.587, 0.114])
@@ -101,3 +108,18 @@ def test_tables_in_single_precision_beside_a_picture_in_double(x64):
     tables = jax.tree.map(jnp.float32, SelectiveColor())
     slopes = jax.grad(lambda p: jnp.sum(run(node, {node.name: p}, image) ** 2))(tables)
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(slopes))
+
+
+@pytest.mark.parametrize("shape", [(20, 17), (1, 7), (2, 3), (31, 62)])
+@pytest.mark.parametrize("variance", [0.1, 4.0, 100.0])
+def test_the_wide_blur_is_a_gaussian_of_reflected_borders(shape, variance, rng, x64):
+    """Also where the window meets a sample several times."""
+    plane = rng.random(shape)
+    k = np.arange(-30, 31)
+    taps = np.exp(-0.5 * k**2 / variance)
+    want = plane
+    for axis in range(2):
+        edge = "mirror" if shape[axis] > 1 else "nearest"
+        want = correlate1d(want, taps / taps.sum(), axis, mode=edge)
+    down, across = (_reflected_gaussian(n, jnp.float64(variance), 30) for n in shape)
+    np.testing.assert_allclose(down @ plane @ across.T, want, atol=1e-12)

@@ -68,8 +68,10 @@ def grid_planes(
         grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
         return _sliced(u, grid, cell, -(-width // cell) + 2)
 
-    one_by_one = partial(_in_place, filtered) if height * width > _LARGE else filtered
-    weight, *sums = lax.platform_dependent(u, values, cpu=one_by_one, default=filtered)
+    run = filtered
+    if height * width > _LARGE:
+        run = partial(lax.platform_dependent, cpu=partial(_in_place, filtered), default=filtered)
+    weight, *sums = run(u, values)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
 
 
@@ -121,10 +123,9 @@ def _blurred_in_space(grid: jax.Array, variance: jax.Array) -> jax.Array:
     down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
     across = jnp.pad(_mirrored_gaussian(width - 2, variance).T, ((0, 0), (1, 1)), "edge")
     across = jnp.pad(across, ((0, 2), (0, 0)))  # what the two columns more hold is dropped
-    on_cpu = _in_groups if rows * width > _LARGE // 16 else _filtered
-
-    def filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
-        return lax.platform_dependent(kernels, grid, cpu=on_cpu, default=_filtered)
+    filtered = _filtered
+    if rows * width > _LARGE // 16:
+        filtered = partial(lax.platform_dependent, cpu=_in_groups, default=_filtered)
 
     def transposed(kernels: Kernels, cotangent: jax.Array) -> jax.Array:
         # fast on a CPU only with the matrices stored transposed
