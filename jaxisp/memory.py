@@ -2,8 +2,8 @@
 
 XLA takes the scratch of a program from the C library at each call. glibc gives blocks above 32 MB, and
 much of what threads free, back to the system; it comes again a page at a time, at 1 to 3 us each. A library
-should not change that at import. `jaxisp develop` does; a program of your own calls `keep_freed()` before
-it computes.
+should not change that by itself: a program that calls something many times on large frames calls
+`keep_freed()` before it computes.
 """
 
 import ctypes
@@ -17,8 +17,9 @@ _MOST = 2**31 - 1
 def keep_freed() -> bool:
     """Let the C library keep what is freed, up to 2 GB, in one pool for all threads, for the whole process.
 
-    Worth it for gradients of frames of a megapixel and for all above; batches of small images may lose some
-    percent. Best called before JAX is imported: threads that have a pool of their own already keep it.
+    Worth it for gradients of frames of a megapixel and for all above, from some ten calls on, until when blocks
+    are cut and joined; the process then holds several times its largest block. Batches of small images may lose
+    some percent. Best called before JAX is imported: threads that have a pool of their own already keep it.
 
     Returns:
         Whether it took effect: False without glibc (macOS, Windows, musl), where nothing is changed.

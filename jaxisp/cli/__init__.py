@@ -9,7 +9,6 @@ from jaxisp.cache import keep_compiled
 from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
 from jaxisp.cli.common import Parser
 from jaxisp.errors import InputError
-from jaxisp.memory import keep_freed
 
 _MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
 
@@ -32,8 +31,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if argv is None:  # the process is ours; another program that calls this has its own settings
             keep_compiled()
-            if arguments.run is develop.run:
-                keep_freed()
         return int(arguments.run(arguments))
     except InputError as error:
         print(f"jaxisp: {' '.join(str(error).split())}", file=sys.stderr)
