@@ -17,9 +17,9 @@ _MOST = 2**31 - 1
 def keep_freed() -> bool:
     """Let the C library keep what is freed, up to 2 GB, in one pool for all threads, for the whole process.
 
-    Worth it for gradients of frames of a megapixel and for all above, from some ten calls on, until when blocks
-    are cut and joined; the process then holds several times its largest block. Batches of small images may lose
-    some percent. Best called before JAX is imported: threads that have a pool of their own already keep it.
+    Worth it for gradients of frames of a megapixel and for all above, from some ten calls on, until when
+    blocks are cut and joined; the process then holds several times its largest block. Batches of small images
+    may lose some percent. Best called before JAX is imported: threads that have a pool already keep it.
 
     Returns:
         Whether it took effect: False without glibc (macOS, Windows, musl), where nothing is changed.
