@@ -17,8 +17,8 @@ _MOST = 2**31 - 1
 def keep_freed() -> bool:
     """Let the C library keep what is freed, up to 2 GB, in one pool for all threads, for the whole process.
 
-    Worth it for gradients of frames of a megapixel and for all above, from some ten calls on, until when
-    blocks are cut and joined; the process then holds several times its largest block. Batches of small images
+    Worth it for gradients of frames of a megapixel and for all above, from ten or twenty calls on: until then
+    blocks are cut and joined, and the process comes to hold several times its largest. Small batches
     may lose some percent. Best called before JAX is imported: threads that have a pool already keep it.
 
     Returns:

@@ -137,14 +137,21 @@ def clip_through(x: jax.Array, low: Any, high: Any, leak: float = 0.0) -> jax.Ar
     return straight_through(inside, leak * x + (1 - leak) * inside) if leak else inside
 
 
-def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
-    """`fn(*images)`, elementwise in images of one shape, as rows of interleaved pixels.
+def as_rows(image: jax.Array) -> jax.Array:
+    """(H, W, C) as (H, W C): XLA's CPU code does not vectorise over a last axis of 3, and takes ten times
+    as long."""
+    # a barrier, or XLA would move the reshape out of the way
+    return barrier_on_cpu(image.reshape(len(image), -1))
 
-    XLA's CPU code does not vectorise over a last axis of 3, and takes ten times as long.
-    """
+
+def from_rows(rows: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """The inverse of `as_rows`."""
+    return barrier_on_cpu(rows).reshape(shape)
+
+
+def elementwise(fn: Callable[..., jax.Array], *images: jax.Array) -> jax.Array:
+    """`fn(*images)`, elementwise in images of one shape, as rows of interleaved pixels."""
     shape = images[0].shape
     if len(shape) < 3:
         return fn(*images)
-    # barriers, or XLA would move the reshapes out of the way
-    rows = barrier_on_cpu([x.reshape(shape[0], -1) for x in images])
-    return barrier_on_cpu(fn(*rows)).reshape(shape)
+    return from_rows(fn(*map(as_rows, images)), shape)

@@ -10,13 +10,6 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.linear import scaled
-from jaxisp.numerics import barrier_on_cpu
-
-
-def as_rows(image: jax.Array) -> jax.Array:
-    """(H, W, C) as (H, W C): XLA's CPU code does not vectorise over a last axis of 3."""
-    # a barrier, or XLA would move the reshape out of the way
-    return barrier_on_cpu(image.reshape(len(image), -1))
 
 
 def weighted(fn: Callable[..., jax.Array], share: jax.Array, *operands: jax.Array) -> jax.Array:

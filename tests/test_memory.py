@@ -1,5 +1,6 @@
 """Memory that is freed is kept: in processes of their own, as a setting cannot be taken back."""
 
+import os
 import platform
 import subprocess
 import sys
@@ -26,13 +27,15 @@ print(sorted([faults() for _ in range(40)][20:])[10])
 
 
 def faults(how: str) -> int:
-    run = subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, text=True, check=True)
+    env = {k: v for k, v in os.environ.items() if k != "GLIBC_TUNABLES" and not k.startswith("MALLOC_")}
+    call = [sys.executable, "-c", PROGRAM, how]
+    run = subprocess.run(call, capture_output=True, text=True, check=True, env=env)
     return int(run.stdout)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's")
 def test_large_blocks_are_not_taken_from_the_system_again():
-    assert faults("keep") < 100 < faults("leave")
+    assert 4 * faults("keep") < faults("leave")  # some thousands, or some tens of huge pages
 
 
 def test_without_glibc_nothing_is_changed(monkeypatch):

@@ -7,9 +7,11 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxisp.numerics import (
+    as_rows,
     clip,
     clip_through,
     elementwise,
+    from_rows,
     materialize,
     nearest_int,
     on_all_cores,
@@ -110,3 +112,9 @@ def test_elementwise_is_the_function(shape, rng):
     np.testing.assert_allclose(fn(x, y), curve(x, y), rtol=1e-6)
     check_grads(fn, (x, y), order=1, modes=["fwd", "rev"], rtol=2e-2, atol=2e-2)
     np.testing.assert_allclose(jax.vmap(fn)(x, y), curve(x, y), rtol=1e-6)
+
+
+def test_rows_are_the_image_s_and_go_back():
+    image = jnp.arange(24.0).reshape(2, 4, 3)
+    np.testing.assert_array_equal(as_rows(image), np.arange(24.0).reshape(2, 12))
+    np.testing.assert_array_equal(from_rows(as_rows(image), image.shape), image)

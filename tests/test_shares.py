@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxisp.shares import as_rows, weighted
+from jaxisp.shares import weighted
 
 
 def test_weighted_is_not_run_at_0_but_its_gradient_is_the_products():
@@ -58,8 +58,3 @@ def test_a_share_of_its_own_for_each_of_a_batch(rng):
     got = jax.jit(jax.grad(loss, (0, 1)))(shares, picture)
     np.testing.assert_allclose(got[0], np.full(2, jnp.sin(picture).sum()), rtol=1e-5)
     np.testing.assert_allclose(got[1], 0.5 * jnp.cos(picture), rtol=1e-5)
-
-
-def test_rows_are_the_image_s():
-    image = jnp.arange(24.0).reshape(2, 4, 3)
-    np.testing.assert_array_equal(as_rows(image), np.arange(24.0).reshape(2, 12))

@@ -9,10 +9,10 @@ from jax import lax
 from jaxisp.channels import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
-from jaxisp.numerics import barrier_on_cpu, round_through
+from jaxisp.numerics import as_rows, from_rows, round_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.shares import as_rows, weighted
+from jaxisp.shares import weighted
 from jaxisp.stages.demosaic import (
     demosaic_ahd,
     demosaic_bilinear,
@@ -72,7 +72,7 @@ def demosaicking(
         if name == algorithm:  # D less D
             continue
         change = change + weighted(lambda m, s, run=run: as_rows(run(m, cfa=cfa)) - s, share, image, start)
-    return barrier_on_cpu(start + change).reshape(*image.shape, 3)
+    return from_rows(start + change, (*image.shape, 3))
 
 
 @parameters

@@ -10,10 +10,10 @@ from jax import lax
 
 from jaxisp.channels import interleaved, per_plane, planes
 from jaxisp.domains import RGB
-from jaxisp.numerics import barrier_on_cpu, materialize, safe_divide
+from jaxisp.numerics import as_rows, from_rows, materialize, safe_divide
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.shares import as_rows, weighted
+from jaxisp.shares import weighted
 
 
 def _triangle(t: Any) -> Any:
@@ -255,4 +255,4 @@ def rescaling(params: Rescaling, image: RGB) -> RGB:
     mixed = first
     for share, way in zip(params.shares, _OTHER_WAYS):
         mixed = mixed + weighted(partial(beyond, **way), share, params.factor, image, first)
-    return barrier_on_cpu(mixed).reshape(image.shape)
+    return from_rows(mixed, image.shape)
