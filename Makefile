@@ -3,21 +3,22 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 2
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 
 demo: $(READY)
 	$(BIN)/jaxisp demo --out demo
 
-# most programs run once and compile quickly; tests marked `optimised` compile as users do
+# most programs run once and compile quickly; tests marked `optimised` compile as users do, and what they compile
+# and fit serves others of their file
 test: $(READY)
-	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
-	$(PYTEST) -m "not slow and optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
+	$(PYTEST) --dist loadfile -m "not slow and optimised"
 
 test-all: $(READY)
-	JAXISP_TESTS_QUICK=1 $(PYTEST) -m "not slow and not optimised"
-	$(PYTEST) -m "slow or optimised"
+	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
+	$(PYTEST) --dist loadfile -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -32,6 +32,15 @@ def reason(error: OSError) -> str:
     return (error.strerror or str(error) or type(error).__name__).lower()
 
 
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """InputError that names the path for what the system says."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
+
+
 def check_file(path: PathLike) -> Path:
     """Return the path; raise InputError where it is no readable file with something in it."""
     path = Path(path)
@@ -198,12 +207,10 @@ def _remove(path: Path | None) -> None:
 def output_folder(path: PathLike) -> Path:
     """Make a folder (and those above it); InputError where nothing can be written into it."""
     path = Path(path)
-    try:
+    with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
             pass
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
     return path
 
 

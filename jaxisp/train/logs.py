@@ -1,19 +1,12 @@
 """The log of a run: CSV files and TensorBoard events, both continued where a run is resumed."""
 
-import contextlib
 import csv
 import io
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import Event, SessionLog
-from tensorboardX.summary import scalar
-
-from jaxisp.errors import InputError
-from jaxisp.io.files import reason, write_text
+from jaxisp.io.files import write_text, writing
 
 STEP_FIELDS = ("step", "epoch", "loss", "grad_norm", "lr", "images_per_second")
 VALIDATION_FIELDS = ("step", "loss", "psnr", "psnr_in")
@@ -34,7 +27,9 @@ class Log:
         self.run = run
         for name, fields in (("log.csv", STEP_FIELDS), ("validation.csv", VALIDATION_FIELDS)):
             _truncate(run / name, fields, step)
-        self._events = _Events(run / "tensorboard", step + 1)
+        from jaxisp.train.events import Events  # loads PyTorch, for seconds, where that is installed
+
+        self._events = Events(run / "tensorboard", step + 1)
 
     def steps(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Append rows, one a step; TensorBoard gets the last one with the mean loss of all."""
@@ -52,53 +47,13 @@ class Log:
 
     def _append(self, name: str, fields: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
         path = self.run / name
-        with _writing(path), path.open("a", newline="") as file:
+        with writing(path), path.open("a", newline="") as file:
             csv.DictWriter(file, fields).writerows(rows)
 
     def _scalars(self, group: str, step: int, row: Mapping[str, Any]) -> None:
         self._events.scalars(
             step, {f"{group}/{name}": v for name, v in row.items() if name not in ("step", "epoch")}
         )
-
-
-class _Events:
-    """A file of TensorBoard events, written where it is called: `SummaryWriter` writes in a thread, whose
-    errors are lost to the caller and printed.
-
-    Args:
-        folder: gets the file; made where it is missing.
-        step: the first one: TensorBoard drops later ones of files before.
-    """
-
-    def __init__(self, folder: Path, step: int) -> None:
-        self.folder = folder
-        with _writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            self._writer = EventsWriter(str(folder / "events"))
-            self._write(step, session_log=SessionLog(status=SessionLog.START))
-            self._writer.flush()
-
-    def scalars(self, step: int, values: Mapping[str, float]) -> None:
-        with _writing(self.folder):
-            for name, value in values.items():
-                self._write(step, summary=scalar(name, value))
-            self._writer.flush()
-
-    def close(self) -> None:
-        with _writing(self.folder):
-            self._writer.close()
-
-    def _write(self, step: int, **content: Any) -> None:
-        self._writer.write_event(Event(wall_time=time.time(), step=step, **content))
-
-
-@contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """InputError that names the path for what the system says."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

@@ -13,6 +13,7 @@ from jaxisp.params import map_specs, specs
 from jaxisp.pipeline import run, run_batch, sections, signature, stage
 from jaxisp.stages import STAGES
 from tests.conftest import smooth_image
+from tests.stages.test_precision import loose
 
 SHAPE = (21, 34)
 NAMES = sorted(STAGES)
@@ -88,6 +89,12 @@ def test_gradient_is_finite(name):
         for image in (ordinary, np.zeros_like(ordinary), np.ones_like(ordinary), 4 * ordinary - 1):
             for leaf in jax.tree.leaves(gradient(name)(params_for(name, share), image, weights, key)[1]):
                 assert np.isfinite(leaf).all(), f"share {share}"
+
+
+@each_stage
+def test_products_are_exact(name):
+    given = params_for(name), image_for(name), weights_for(name), jax.random.key(0)
+    assert not loose(gradient(name).trace(*given).jaxpr)
 
 
 @each_stage

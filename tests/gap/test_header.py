@@ -21,7 +21,7 @@ from jaxisp.io.datasets import open_dataset
 from jaxisp.io.dng import write_dng
 from jaxisp.io.opcodes import FixVignetteRadial, Opcode, WarpRectilinear
 
-SIZE = 160
+SIZE = 128
 EARLIER = (3, 5)
 TERMS = np.array(
     [[1.004, -0.03, 0.008, 0, 0.002, -0.001], [1, -0.03, 0.008, 0, 0.002, -0.001], [1, -0.032, 0, 0, 0, 0]]
