@@ -5,7 +5,6 @@ pixel reads it back at its own place and guide value. Tents stand for the bins, 
 is dense: no gather, no scatter. Elsewhere the grid is read by gathers.
 """
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -16,16 +15,15 @@ import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.linear import fused_sum, linear_call, scaled
+from jaxisp.linear import fused_sum, linear_call
 from jaxisp.numerics import on_all_cores, store, store_off_cpu, straight_through
+from jaxisp.stages.denoise.grid_blur import blurred
 
 Planes = tuple[jax.Array, ...]
-Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
 
 _LARGE = 1 << 18  # px: beyond, all planes at once need memory that a CPU gets anew at every call
 _MOST_TERMS = 32  # in one fused kernel
 _UNROLLED = 8  # terms of a sum along an axis: more become a loop, which is 5 times slower
-_times = partial(jnp.matmul, precision=lax.Precision.HIGHEST)  # a GPU would round to 10 bits
 _FINEST = 4.0  # bins to a sigma_range; more would not be more exact
 
 
@@ -58,6 +56,7 @@ def grid_planes(
     step = jnp.maximum((high - low) / (bins - 1), sigma_range / _FINEST)
     u, *v = (_to_phases(x, cell) for x in ((guide - low) / step, *planes))
     u, values = store((u, jnp.stack([jnp.ones_like(u), *v])))
+    columns, large = -(-width // cell), height * width > _LARGE
     # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
     by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
     by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
@@ -65,11 +64,11 @@ def grid_planes(
     def filtered(u: jax.Array, values: jax.Array) -> jax.Array:
         # stored as it is: with the shape that the blur wants it would be 8 times slower
         grid = store(_splat(u, values, bins))
-        grid = store(_blurred(grid, guide.shape, cell, by_space, by_range))
-        return _sliced(u, grid, cell, -(-width // cell) + 2)
+        grid = store(blurred(grid, columns, by_space, by_range, little_memory=large))
+        return _sliced(u, grid, cell, columns + 2)
 
     run = filtered
-    if height * width > _LARGE:
+    if large:
         run = partial(lax.platform_dependent, cpu=partial(_in_place, filtered), default=filtered)
     weight, *sums = run(u, values)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
@@ -106,93 +105,6 @@ def _from_phases(phases: jax.Array, cell: int, height: int, width: int) -> jax.A
     rows, columns = -(-height // cell), -(-width // cell)
     full = phases.reshape(2, 2, cell // 2, cell // 2, rows, columns + 2)[..., :columns]
     return full.transpose(4, 0, 2, 5, 1, 3).reshape(rows * cell, columns * cell)[:height, :width]
-
-
-def _blurred(grid: jax.Array, shape: tuple[int, ...], cell: int, by_space: Any, by_range: Any) -> jax.Array:
-    """Blur (bins, planes, L) along all three axes; the result has a border of one cell, at the bottom two."""
-    rows, columns = (-(-n // cell) for n in shape)
-    along_bins = _times(_gaussian(len(grid), by_range), grid.reshape(len(grid), -1))
-    blurred = _blurred_in_space(along_bins.reshape(*grid.shape[:2], rows, columns + 2), by_space)
-    return blurred.reshape(*grid.shape[:2], -1)
-
-
-@jax.custom_jvp
-def _blurred_in_space(grid: jax.Array, variance: jax.Array) -> jax.Array:
-    """(bins, planes, rows, columns + 2) to (bins, planes, rows + 3, columns + 2), the last two dropped."""
-    bins, count, rows, width = grid.shape
-    down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
-    across = jnp.pad(_mirrored_gaussian(width - 2, variance).T, ((0, 0), (1, 1)), "edge")
-    across = jnp.pad(across, ((0, 2), (0, 0)))  # what the two columns more hold is dropped
-    filtered = _filtered
-    if rows * width > _LARGE // 16:
-        filtered = partial(lax.platform_dependent, cpu=_in_groups, default=_filtered)
-
-    def transposed(kernels: Kernels, cotangent: jax.Array) -> jax.Array:
-        # fast on a CPU only with the matrices stored transposed
-        return filtered(store((kernels[0].T, kernels[1].T)), cotangent)
-
-    kernels, planes = (down, across), grid.reshape(-1, rows, width)
-    return linear_call(filtered, transposed, kernels, planes).reshape(bins, count, -1, width)
-
-
-@_blurred_in_space.defjvp
-def _blurred_in_space_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
-    """The slope to the variance is half the Laplacian of the result, mirrored as its border is."""
-    (grid, variance), (d_grid, d_variance) = primals, tangents
-    y = _blurred_in_space(grid, variance)
-    change = _blurred_in_space(d_grid, variance)
-    inner = y[..., 1:-2, 1:-1]
-    vertical, horizontal = y[..., :-3, 1:-1] + y[..., 2:-1, 1:-1], y[..., 1:-2, :-2] + y[..., 1:-2, 2:]
-    slope = 0.5 * (vertical + horizontal) - 2 * inner
-    bordered = jnp.pad(slope, ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
-    return y, change + scaled(d_variance, store(bordered))
-
-
-def _filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
-    """`down @ plane @ across` for each of (planes, rows, columns)."""
-    down, across = kernels
-    turned = _times(grid.reshape(-1, grid.shape[2]), across).reshape(*grid.shape[:2], -1)
-
-    def by_plane(m: jax.Array, g: jax.Array) -> jax.Array:
-        # for a single product XLA transposes the grid, before and after
-        return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
-
-    def summed(m: jax.Array, g: jax.Array) -> jax.Array:
-        # a product would store the matrix once for each plane
-        return fused_sum(m.T[:, :, None] * g[:, :, None], 1)
-
-    return lax.platform_dependent(down, turned, cpu=by_plane, default=summed)
-
-
-def _in_groups(kernels: Kernels, grid: jax.Array) -> jax.Array:
-    """`_filtered`, some planes at a time, each where it was: in half of the memory."""
-    height, (count, rows, width) = kernels[0].shape[0], grid.shape
-    some = math.gcd(count, _UNROLLED)
-
-    def body(i: jax.Array, planes: jax.Array) -> jax.Array:
-        own = lax.dynamic_slice(planes, (i * some, 0, 0), (some, rows, width))
-        return lax.dynamic_update_slice_in_dim(planes, _filtered(kernels, own), i * some, 0)
-
-    room = jnp.pad(grid, ((0, 0), (0, max(height - rows, 0)), (0, 0)))
-    return lax.fori_loop(0, count // some, body, room)[:, :height]
-
-
-def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
-    """(n, n): the discrete Gaussian over n samples, mirrored at both ends (half-sample)."""
-    k = np.arange(n)
-    cosines = np.sqrt((2 - (k == 0)) / n)[:, None] * np.cos(np.pi / n * np.outer(k, k + 0.5))
-    decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    basis = jnp.asarray(cosines, variance.dtype)
-    return _times(basis.T * decay, basis)
-
-
-def _gaussian(n: int, variance: jax.Array) -> jax.Array:
-    """(n, n): the discrete Gaussian over n samples of a longer row."""
-    k = np.arange(n + 1)
-    share = np.where(k % n == 0, 1, 2) / (2 * n)
-    lags = np.cos(np.pi / n * np.outer(k[:n], k)) * share
-    decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    return _times(jnp.asarray(lags, variance.dtype), decay)[np.abs(k[:n, None] - k[:n])]
 
 
 # Splatting and slicing are linear in what they carry, and their slope to u is the same with the tent's
