@@ -85,6 +85,12 @@ def test_help_and_usage_errors_do_not_load_jax(arguments):
     assert time.perf_counter() - clock < 5  # a guard against a heavy import, not a benchmark
 
 
+def test_only_a_run_loads_tensorboard():
+    """It loads PyTorch where that is installed, which takes seconds."""
+    code = "import sys, jaxisp.cli.train, jaxisp.train, jaxisp.gap; assert 'tensorboardX' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_the_names_at_the_top_are_what_they_say():
     """A submodule that is imported later must not hide a name, as `jaxisp.stage` once did."""
     import jaxisp
