@@ -19,7 +19,8 @@ from jaxisp.numerics import barrier_on_cpu, materialize, safe_divide, store
 
 Margin = int | tuple[int, int]
 _NARROW = 256  # px: beyond, a frame is wide
-_MOST_TAPS = 32  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
+_MOST_TAPS = 26  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
+_MOST_ROWS = 13  # that one reads on a CPU: of more, its nearest cache loses some before the next row
 
 
 def pad(
@@ -206,10 +207,14 @@ def _weighted(padded: jax.Array, taps: jax.Array, axis: int) -> jax.Array:
     taps = taps.astype(padded.dtype)
     each = [lax.index_in_dim(taps, k, keepdims=False) for k in range(count)]
     terms = [lax.mul(lax.broadcast(t, v.shape), v) for t, v in zip(each, _shifts(padded, count, axis))]
-    parts = [reduce(lax.add, terms[k : k + _MOST_TAPS]) for k in range(0, count, _MOST_TAPS)]
+    some = _MOST_ROWS if axis == 0 else _MOST_TAPS
+    parts = [reduce(lax.add, terms[k : k + some]) for k in range(0, count, some)]
+    summed = parts[0]
+    for i, part in enumerate(parts[1:], 1):
+        keep = materialize if i * some % _MOST_TAPS else store
+        summed = keep(summed) + part
     shape = list(padded.shape)
     shape[axis] -= count - 1
-    summed = reduce(lambda total, part: store(total) + part, parts)
     return summed if summed.shape == tuple(shape) else materialize(summed).reshape(shape)
 
 
