@@ -19,8 +19,8 @@ from jaxisp.numerics import barrier_on_cpu, materialize, safe_divide, store
 
 Margin = int | tuple[int, int]
 _NARROW = 256  # px: beyond, a frame is wide
-_MOST_TAPS = 26  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
-_MOST_ROWS = 13  # that one reads on a CPU: of more, its nearest cache loses some before the next row
+_MOST_ROWS = 13  # that a CPU's kernel reads: of more, its nearest cache loses some before the next row
+_MOST_TAPS = 2 * _MOST_ROWS  # of a fused kernel: beyond some 40 XLA's CPU code is 10 times slower
 
 
 def pad(

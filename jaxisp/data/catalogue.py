@@ -18,7 +18,7 @@ from typing import Any
 
 from jaxisp.cache import user_cache
 from jaxisp.errors import InputError
-from jaxisp.io.files import output_folder, reason, write_text
+from jaxisp.io.files import output_folder, write_text, writing
 from jaxisp.io.locks import locked
 
 SWITCH = "JAXISP_DATA"
@@ -170,7 +170,7 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
     with locked(root, name=f".{wanted.name}.lock"):
         if is_fetched(wanted.name):  # by another process meanwhile
             return folder
-        try:
+        with writing(folder):
             found = [_fetch_file(wanted, file, output_folder(partial), tick) for file in wanted.files]
             for file in wanted.files:
                 _unpack(partial / file.name, file.archive)
@@ -182,8 +182,6 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
             _note(partial / SOURCE, about)
             shutil.rmtree(folder, ignore_errors=True)  # it is empty
             partial.replace(folder)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written: {reason(error)}") from error
     return folder
 
 

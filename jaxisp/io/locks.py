@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import PathLike, output_folder, reason
+from jaxisp.io.files import PathLike, output_folder, writing
 
 
 @contextlib.contextmanager
@@ -46,10 +46,8 @@ def locked(
 def _lock_file(path: Path, kind: int, doing: str) -> IO[bytes]:
     """A file that is locked and still has its name: its holder before may have removed it meanwhile."""
     while True:
-        try:
+        with writing(path):
             file = path.open("wb")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {reason(error)}") from error
         try:
             fcntl.flock(file, kind)
         except BlockingIOError as error:

@@ -184,7 +184,7 @@ def _gathered(hue: jax.Array, cotangents: list[jax.Array]) -> tuple[jax.Array, .
     before = [jnp.where(first == k, 1 - share, 0) for k in range(SECTORS)]
     after = [jnp.where(first == (k - 1) % SECTORS, share, 0) for k in range(SECTORS)]
     weights = materialize(jnp.stack([a + b for a, b in zip(before, after)])).reshape(SECTORS, -1)
-    return tuple(jnp.matmul(weights, c.reshape(-1), precision=lax.Precision.HIGHEST) for c in cotangents)
+    return tuple(jnp.matmul(weights, c.reshape(-1), precision=_EXACT) for c in cotangents)
 
 
 def _sectors(hue: jax.Array) -> tuple[jax.Array, jax.Array]:

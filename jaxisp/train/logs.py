@@ -24,11 +24,11 @@ class Log:
     """
 
     def __init__(self, run: Path, step: int) -> None:
+        from jaxisp.train.events import Events  # loads PyTorch, for seconds, where that is installed
+
         self.run = run
         for name, fields in (("log.csv", STEP_FIELDS), ("validation.csv", VALIDATION_FIELDS)):
             _truncate(run / name, fields, step)
-        from jaxisp.train.events import Events  # loads PyTorch, for seconds, where that is installed
-
         self._events = Events(run / "tensorboard", step + 1)
 
     def steps(self, rows: Sequence[Mapping[str, Any]]) -> None:
