@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp import cores
+from jaxisp.process import cores
 
 LIBRARIES = (
     "jax", "jaxlib", "numpy", "opencv-python-headless", "pillow", "scipy", "scikit-image", "PyWavelets",

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from jaxisp import STAGES, Chain, stage
-from jaxisp.cache import keep_compiled
 from jaxisp.explore import Explorer
+from jaxisp.process.cache import keep_compiled
 from jaxisp.samples import scene
 from jaxisp.stages.transfer import srgb_oetf
 

@@ -1,7 +1,7 @@
 r"""The null bank: how large each axis is for cameras that lack nothing, from results of `study`.
 
     python -m experiments.null_bank docs/results/withheld-17-nulls.json docs/results/withheld-20-frames.json \
-        -o jaxisp/gap/nulls.json
+        -o jaxisp/gap/axes/nulls.json
 
 Prints how often a camera of one body would be said to have an axis beyond the bank that the others make.
 """
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from experiments.withheld.effects import KINDS
-from jaxisp.gap.null_bank import CLEAR, as_large
+from jaxisp.gap.axes.null_bank import CLEAR, as_large
 from jaxisp.io.files import atomic_write
 
 Sizes = Mapping[str, float]

@@ -3,7 +3,7 @@
     python -m experiments.null_drops --bodies elm fig --limit 16 --out docs/results/null-drops.json
 
 A diagnosis does not look where the gap is near its floor; here it does, for one cause. What an effect must
-lower a gap by, `jaxisp.gap.measured.NULL_DROP`, should be above what 95 % of these cameras have. A run that
+lower a gap by, `jaxisp.gap.case.NULL_DROP`, should be above what 95 % of these cameras have. A run that
 was broken off goes on; the page is written beside the file.
 """
 
@@ -23,8 +23,9 @@ from experiments.withheld.effects import KINDS
 from experiments.withheld.shoot import write
 from experiments.withheld.study import Case, cases, shuffled
 from experiments.withheld.tables import table
-from jaxisp.gap import diagnose, verdict
-from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP
+from jaxisp.gap import diagnose
+from jaxisp.gap.case import LEAST_UNIT, NULL_DROP
+from jaxisp.gap.search import verdict
 from jaxisp.io.files import write_text
 
 Record = dict[str, Any]

@@ -25,8 +25,8 @@ from experiments.real_gap_tables import markdown
 from experiments.withheld.study import kept
 from jaxisp.errors import InputError, one_line
 from jaxisp.gap import Downstream, diagnose
-from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
-from jaxisp.gap.report import plain
+from jaxisp.gap.report.page import plain
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.io.files import atomic_write
 
 Record = dict[str, Any]

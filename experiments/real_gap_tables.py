@@ -5,8 +5,8 @@ from math import log10
 from typing import Any
 
 from experiments.withheld.tables import left_by, table
-from jaxisp.gap.report import reached
-from jaxisp.gap.report_words import any_of, finite, listed, number, words
+from jaxisp.gap.report.page import reached
+from jaxisp.gap.report.words import any_of, finite, listed, number, words
 
 Record = Mapping[str, Any]
 TITLES = {

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.channels import interleaved, planes
-from jaxisp.linear import scaled
+from jaxisp.arrays.linear import scaled
+from jaxisp.arrays.planes import interleaved, planes
 
 LUMA_601 = (0.299, 0.587, 0.114)
 """Rec. 601 luma weights of R', G', B', as JFIF uses them."""

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.arrays.safe_math import safe_sqrt
 from jaxisp.color import SRGB_TO_XYZ, XYZ_TO_SRGB
-from jaxisp.numerics import safe_sqrt
 
 D65_TEMPERATURE, D65_TINT = 6504.0, 0.0032
 """Correlated colour temperature [K] and Duv of D65, the white of sRGB."""

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import planes
+from jaxisp.arrays.planes import planes
+from jaxisp.arrays.safe_math import safe_divide
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.numerics import safe_divide
 
 
 def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:

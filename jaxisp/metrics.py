@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.numerics import safe_divide, safe_sqrt
-from jaxisp.windows import filter_rows_columns
+from jaxisp.arrays.safe_math import safe_divide, safe_sqrt
+from jaxisp.arrays.stencils import filter_rows_columns
 
 Window = Literal["gaussian", "uniform"]
 

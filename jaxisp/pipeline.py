@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.batches import group_size, in_groups
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.groups import group_size, in_groups
 from jaxisp.node import Node, Params, Stage, stage
-from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, batch_axes, param, parameters
+from jaxisp.process.selfcheck import check_backend
 from jaxisp.registry import REGISTRY, Signature, register, sections, signature
-from jaxisp.selfcheck import check_backend
-from jaxisp.striping import in_strips_on_cpu
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",

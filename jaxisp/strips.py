@@ -12,10 +12,10 @@ from typing import Any
 
 import jax
 
-from jaxisp.numerics import materialize
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.strips import ROWS, in_strips
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage, group_by
 from jaxisp.stages.demosaic.strips import reach as demosaic_reach
-from jaxisp.striping import ROWS, in_strips
 
 __all__ = ["REACH", "Chain", "parts", "reach", "run_in_strips"]
 

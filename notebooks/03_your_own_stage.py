@@ -22,13 +22,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxisp import Chain, Recipe, register, run, stage
+from jaxisp.arrays.stencils import gaussian_blur
 from jaxisp.domains import LinearRGB
 from jaxisp.explore import Pictures, picture_after
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.priors import Uniform
 from jaxisp.samples import scene
 from jaxisp.stages.transfer import srgb_oetf
-from jaxisp.windows import gaussian_blur
 
 # %% [markdown]
 # ## Declare it

@@ -22,14 +22,14 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     PROGRAMS = tempfile.TemporaryDirectory(prefix="jaxisp-tests-", ignore_cleanup_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.cache` has it
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
 
 import jax
 import numpy as np
 import pytest
 from hypothesis import settings
 
-from jaxisp.gap import threads
+from jaxisp.gap import parallel
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")
@@ -37,7 +37,7 @@ settings.load_profile("ci")
 gc.set_threshold(200_000, 20, 100_000)
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    threads.MOST = 1  # the workers use the cores
+    parallel.MOST = 1  # the workers use the cores
 
 _MOST_MEMORY = 3e9  # bytes
 

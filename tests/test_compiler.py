@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import scipy.ndimage as ndi
 
-from jaxisp.channels import per_plane
-from jaxisp.linear import inner_product
-from jaxisp.numerics import materialize
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import inner_product
+from jaxisp.arrays.planes import per_plane
+from jaxisp.arrays.stencils import filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
-from jaxisp.windows import filter_rows_columns, gaussian_blur, gaussian_taps, pad, square, views
 
 pytestmark = pytest.mark.optimised
 

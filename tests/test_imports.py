@@ -10,23 +10,12 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
-    {"errors", "cache", "cores", "memory"},
-    {
-        "params",
-        "domains",
-        "numerics",
-        "linear",
-        "shares",
-        "channels",
-        "groups",
-        "striping",
-        "jpeg_blocks",
-        "selfcheck",
-    },
-    {"checks", "priors", "windows", "cfa", "color", "colorimetry", "jpeg_tables", "metrics", "losses"},
+    {"errors", "process"},
+    {"params", "domains", "arrays"},
+    {"checks", "priors", "cfa", "color", "colorimetry", "metrics", "losses"},
     {"registry"},
     {"node"},
-    {"pipeline", "jpeg_codec", "io"},
+    {"pipeline", "jpeg", "io"},
     {"stages", "samples"},
     {"serialize", "strips"},
     {"recipe"},

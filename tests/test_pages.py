@@ -8,7 +8,7 @@ import pytest
 from jaxisp.fit.curvature import Identified
 from jaxisp.fit.report import write_report as write_fit
 from jaxisp.fit.result import FitResult, PairResult
-from jaxisp.gap.report import write_report as write_diagnosis
+from jaxisp.gap.report.page import write_report as write_diagnosis
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.report import Page

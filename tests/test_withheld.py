@@ -19,7 +19,7 @@ from experiments.withheld.outside import AXES as OUTSIDE_AXES
 from experiments.withheld.scenes import GREY, SETS, clutter, scenes
 from experiments.withheld.shoot import write
 from experiments.withheld.study import cases
-from jaxisp.gap.effects import AXES
+from jaxisp.gap.simulator.effects import AXES
 
 PACKAGE = Path(__file__).parent.parent / "experiments" / "withheld"
 ALLOWED = {"numpy", "scipy", "cv2", "PIL", "skimage"}

@@ -24,8 +24,8 @@ from experiments.withheld.study import (
 )
 from experiments.withheld.tables import markdown, wilson
 from experiments.withheld_targets import located, targets
-from jaxisp.gap import verdict
-from jaxisp.gap.measured import NULL_DROP
+from jaxisp.gap.case import NULL_DROP
+from jaxisp.gap.search import verdict
 
 
 def report(verdict: str, *causes: str) -> dict[str, object]:

@@ -5,10 +5,10 @@ import sys
 from collections.abc import Sequence
 
 from jaxisp import __version__
-from jaxisp.cache import keep_compiled
 from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
 from jaxisp.cli.common import Parser
 from jaxisp.errors import InputError
+from jaxisp.process.cache import keep_compiled
 
 _MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
 

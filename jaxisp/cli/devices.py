@@ -7,9 +7,9 @@ import re
 import sys
 from typing import Any
 
-from jaxisp import cores
 from jaxisp.cli.common import positive
 from jaxisp.errors import InputError
+from jaxisp.process import cores
 
 _MOST = 8
 

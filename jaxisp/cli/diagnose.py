@@ -30,7 +30,7 @@ def add_commands(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.gap.report import plain
+    from jaxisp.gap.report.page import plain
     from jaxisp.io import filled_folder
 
     with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
@@ -71,7 +71,7 @@ def _diagnosed(arguments: Namespace, folder: Path) -> Any:
 
 
 def _warn(report: dict[str, Any]) -> None:
-    from jaxisp.gap.report import few_pairs
+    from jaxisp.gap.report.page import few_pairs
 
     if few_pairs(report):
         print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
@@ -80,7 +80,7 @@ def _warn(report: dict[str, Any]) -> None:
 
 
 def _print(report: dict[str, Any]) -> None:
-    from jaxisp.gap.report import next_measurements, sentence, unexplained
+    from jaxisp.gap.report.page import next_measurements, sentence, unexplained
 
     gap, left = report["gap"], unexplained(report)
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))

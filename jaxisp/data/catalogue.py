@@ -16,10 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cache import user_cache
 from jaxisp.errors import InputError
 from jaxisp.io.files import output_folder, write_text, writing
 from jaxisp.io.locks import locked
+from jaxisp.process.cache import user_cache
 
 SWITCH = "JAXISP_DATA"
 """Environment variable: the folder that holds the sets, one folder each, in place of the user's cache."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from jaxisp import cores
 from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
+from jaxisp.process import cores
 
 WHOLE_BYTES = 2 << 30
 """Up to this many bytes in all, photographs are kept whole; beyond it, as crops."""

@@ -5,8 +5,8 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from jaxisp import jpeg_codec
 from jaxisp.io import Jpeg
+from jaxisp.jpeg import codec
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, Saturation
 from jaxisp.stages.choice import ChromaSubsampling
@@ -189,7 +189,7 @@ _HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 def encodable(jpeg: Jpeg | None) -> TypeGuard[Jpeg]:
     """Whether there is a file whose encoder is among the stages."""
-    return jpeg is not None and jpeg.subsampling in jpeg_codec.SAMPLING and jpeg.color_space == "YCbCr"
+    return jpeg is not None and jpeg.subsampling in codec.SAMPLING and jpeg.color_space == "YCbCr"
 
 
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.channels import planes
+from jaxisp.arrays.planes import planes
 from jaxisp.color import LUMA_601, rgb_to_ycbcr_planes
 from jaxisp.fit.planes import blur
 

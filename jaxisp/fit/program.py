@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.channels import planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import planes
 from jaxisp.color import rgb_to_ycbcr_planes
 from jaxisp.fit import lens, model, noise
 from jaxisp.fit.problem import UNITS, Given, Normal, Problem
 from jaxisp.fit.sampling import sample
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.tiles import HALO, SIDE, TILE, TILES, Chunk, no_chunk
-from jaxisp.numerics import materialize
 from jaxisp.pipeline import Chain, Params, stage
 from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.optics.light import radial_gain

@@ -11,11 +11,11 @@ import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxisp import cores
 from jaxisp.errors import InputError
 from jaxisp.fit.problem import Given, Normal, Problem
 from jaxisp.fit.program import jacobian_shape, normal_equations, on_nothing
 from jaxisp.fit.tiles import Chunk
+from jaxisp.process import cores
 
 S = TypeVar("S")
 T = TypeVar("T")

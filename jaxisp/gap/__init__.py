@@ -1,8 +1,8 @@
 """The sim-to-real gap: where it lies, which unmodelled effect causes it, and how far it shrinks."""
 
+from jaxisp.gap.case import Downstream
 from jaxisp.gap.diagnose import Diagnosis, diagnose, diagnose_folder
-from jaxisp.gap.effects import EFFECTS, Effect, Move, register_effect
-from jaxisp.gap.measured import Downstream
+from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move, register_effect
 
 __all__ = [
     "EFFECTS",

@@ -9,23 +9,32 @@ from typing import Any
 import numpy as np
 
 from jaxisp.errors import InputError
-from jaxisp.gap import advice, prepare
-from jaxisp.gap.ceiling import reducible
-from jaxisp.gap.earlier import earlier_grid
-from jaxisp.gap.effects import RAW_JPEG
-from jaxisp.gap.frame import Laid, in_one_frame
-from jaxisp.gap.header import of_one_sampling
-from jaxisp.gap.measured import NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Rows, Split
-from jaxisp.gap.model import Model
-from jaxisp.gap.noisy_pairs import on_each_other
-from jaxisp.gap.null_bank import CLEAR, held_against_nulls
-from jaxisp.gap.refit import interval
-from jaxisp.gap.residual import Problem, floor_difference, floor_errors, to_steps
-from jaxisp.gap.rows import NO_COLOURS, NO_HEADER, STATED, TAKEN_UP, base_row, cause_row, ranking_rows
-from jaxisp.gap.scenes import split_of
-from jaxisp.gap.spectra import held_out_spreads
-from jaxisp.gap.stepwise import Tick
-from jaxisp.gap.verdict import MOST_CAUSES, Found, gap_at, searched
+from jaxisp.gap.axes.null_bank import CLEAR, held_against_nulls
+from jaxisp.gap.base import raw_jpeg
+from jaxisp.gap.case import NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Rows, Split
+from jaxisp.gap.downstream.ceiling import reducible
+from jaxisp.gap.features.spectra import held_out_spreads
+from jaxisp.gap.objective.pixels import Problem, floor_difference, floor_errors, to_steps
+from jaxisp.gap.pairs.align_clean import on_each_other
+from jaxisp.gap.pairs.align_raw import Laid, in_one_frame
+from jaxisp.gap.pairs.earlier_grid import earlier_grid
+from jaxisp.gap.pairs.headers import of_one_sampling
+from jaxisp.gap.pairs.scenes import split_of
+from jaxisp.gap.report import advice
+from jaxisp.gap.report.record import (
+    NO_COLOURS,
+    NO_HEADER,
+    STATED,
+    TAKEN_UP,
+    base_row,
+    cause_row,
+    ranking_rows,
+)
+from jaxisp.gap.search.refit import interval
+from jaxisp.gap.search.stepwise import Tick
+from jaxisp.gap.search.verdict import MOST_CAUSES, Found, gap_at, searched
+from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.simulator.model import Model
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
@@ -57,7 +66,7 @@ class Diagnosis:
 
     def save(self, folder: str | Path) -> Path:
         """Write report.json and report.html into a folder; returns the page."""
-        from jaxisp.gap.report import write_report
+        from jaxisp.gap.report.page import write_report
 
         return write_report(self.report, self.pictures, folder)
 
@@ -192,7 +201,7 @@ def _case(
     loaded = 2 * laid.kept if len(laid.kept) == 1 else laid.kept  # one's tiles are told apart by masks
     if found.kind == RAW_JPEG:
         return raw_case(loaded, camera, exclude, tick), laid
-    from jaxisp.gap.noisy_case import clean_case
+    from jaxisp.gap.base.clean_noisy import clean_case
 
     is_camera = camera is not None
     doubted = [row["name"] for row in laid.rows if not row["certain"]]
@@ -208,7 +217,7 @@ def _trained(
     case: Case, base: tuple[Model, np.ndarray], found: Found, how: Downstream, tick: Tick
 ) -> dict[str, Any]:
     """Denoisers without and with the causes, or with what comes nearest where there is none."""
-    from jaxisp.gap.downstream import measure_downstream
+    from jaxisp.gap.downstream.denoisers import measure_downstream
 
     near, problem = found.refused, case.problem
     if not found.causes and near is None:
@@ -240,8 +249,8 @@ def _large_enough(pair: Loaded) -> Loaded:
     first = pair.clean if pair.raw is None else pair.raw.mosaic
     sizes = [a.shape[:2] for a in (first, pair.picture) if a is not None]
     for height, width in sizes:
-        if min(height, width) < prepare.SMALLEST:
-            wanted = f"{prepare.SMALLEST} or more a side"
+        if min(height, width) < raw_jpeg.SMALLEST:
+            wanted = f"{raw_jpeg.SMALLEST} or more a side"
             raise InputError(
                 f"{pair.name}: {width}x{height} px are too few to be diagnosed, expected {wanted}"
             )
@@ -257,14 +266,14 @@ def raw_case(
 ) -> Case:
     """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
     is fitted, unless a split says otherwise."""
-    pairs = prepare.raw_pairs(loaded)
+    pairs = raw_jpeg.raw_pairs(loaded)
     split = split_of(pairs.names) if split is None else split
-    effects = prepare.candidates(RAW_JPEG, exclude)
+    effects = raw_jpeg.candidates(RAW_JPEG, exclude)
     tick(0, MOST_CAUSES, "fitting the base")
     if camera is None:
-        base = prepare.raw_model(loaded, pairs, effects, split.fit)
+        base = raw_jpeg.raw_model(loaded, pairs, effects, split.fit)
     else:
-        base = prepare.Base(prepare.camera_model(camera, loaded, effects))
+        base = raw_jpeg.Base(raw_jpeg.camera_model(camera, loaded, effects))
     model, absorbed = base.model, base.absorbed
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
@@ -272,7 +281,7 @@ def raw_case(
     if loaded[0].jpeg is not None:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # where the gap lies, tried or not
         if "double_compression" in model.effects:
-            model = prepare.with_earlier_grid(model, place)
+            model = raw_jpeg.with_earlier_grid(model, place)
             if place == (0, 0):  # the file's own grid
                 indices = model.indices(["double_compression"])
                 references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
@@ -281,7 +290,7 @@ def raw_case(
     problem = Problem(model, pairs, base.choices, base.rival)
     problem.weigh(problem.robust_weights())
     problem.references, problem.earlier = references, place
-    stated = prepare.stated_by(loaded[0].jpeg)
+    stated = raw_jpeg.stated_by(loaded[0].jpeg)
     if loaded[0].jpeg is None:  # was compressed once, if at all
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unsaid}

@@ -14,7 +14,7 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
-from jaxisp.jpeg_tables import quality_tables
+from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
                 0xCB: "lossless"}  # fmt: skip

@@ -8,11 +8,11 @@ import math
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.linear import mean
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import straight_through
 from jaxisp.color import luma
 from jaxisp.domains import RGB
-from jaxisp.linear import mean
-from jaxisp.numerics import straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

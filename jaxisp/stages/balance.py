@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp import cfa as bayer
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.linear import scaled
+from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
-from jaxisp.linear import scaled
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

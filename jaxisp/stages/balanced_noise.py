@@ -3,8 +3,8 @@
 import jax
 
 from jaxisp import cfa as bayer
+from jaxisp.arrays.safe_math import safe_sqrt
 from jaxisp.domains import Mosaic
-from jaxisp.numerics import safe_sqrt
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

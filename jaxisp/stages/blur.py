@@ -12,14 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.channels import per_plane, planes
+from jaxisp.arrays.barriers import on_all_cores
+from jaxisp.arrays.planes import per_plane, planes
+from jaxisp.arrays.safe_math import safe_divide, straight_through
+from jaxisp.arrays.stencils import gaussian_blur, pad
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import on_all_cores, safe_divide, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import gaussian_blur, pad
 
 _CHORDS = 1024  # of a disc; its weights are then within 1e-4 of the largest
 _SMALLEST_DISC = 0.05  # px; below, the PSF is linear in the radius

@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.rows import as_rows, from_rows
+from jaxisp.arrays.safe_math import round_through
+from jaxisp.arrays.shares import weighted
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
-from jaxisp.numerics import as_rows, from_rows, round_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.shares import weighted
 from jaxisp.stages.demosaic import (
     demosaic_ahd,
     demosaic_bilinear,

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.safe_math import straight_through
 from jaxisp.domains import Mosaic
-from jaxisp.numerics import straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.median import median_plane

@@ -5,13 +5,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import pointwise
+from jaxisp.arrays.safe_math import straight_through
+from jaxisp.arrays.stencils import gaussian_blur
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.domains import RGB
-from jaxisp.linear import pointwise
-from jaxisp.numerics import materialize, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import gaussian_blur
 
 
 @parameters

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import clip, clip_through, round_through, straight_through
 from jaxisp.domains import EncodedRGB
-from jaxisp.jpeg_codec import SAMPLING, Planes, compress, compress_full_or_half
-from jaxisp.jpeg_tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
-from jaxisp.numerics import clip, clip_through, round_through, straight_through
+from jaxisp.jpeg.codec import SAMPLING, Planes, compress, compress_full_or_half
+from jaxisp.jpeg.tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

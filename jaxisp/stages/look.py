@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import linear_call, sums
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import clip, safe_sqrt
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB, EncodedRGB
-from jaxisp.linear import linear_call, sums
-from jaxisp.numerics import clip, materialize, safe_sqrt
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.linear import pointwise
 from jaxisp.domains import Image
-from jaxisp.linear import pointwise
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.channels import interleaved, per_plane, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, per_plane, planes
+from jaxisp.arrays.rows import as_rows, from_rows
+from jaxisp.arrays.safe_math import safe_divide
+from jaxisp.arrays.shares import weighted
 from jaxisp.domains import RGB
-from jaxisp.numerics import as_rows, from_rows, materialize, safe_divide
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.shares import weighted
 
 
 def _triangle(t: Any) -> Any:

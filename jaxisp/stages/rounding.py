@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.rows import elementwise
+from jaxisp.arrays.safe_math import clip, straight_through
 from jaxisp.domains import EncodedRGB
-from jaxisp.numerics import clip, elementwise, straight_through
 from jaxisp.pipeline import register
 
 

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp import cfa as bayer
-from jaxisp.channels import planes
+from jaxisp.arrays.linear import linear_call, pointwise, scaled
+from jaxisp.arrays.planes import planes
+from jaxisp.arrays.safe_math import clip_through, round_through, straight_through
+from jaxisp.arrays.stencils import edge_counts, pad
 from jaxisp.domains import Image, LinearRGB, Mosaic
-from jaxisp.linear import linear_call, pointwise, scaled
-from jaxisp.numerics import clip_through, round_through, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
-from jaxisp.windows import edge_counts, pad
 
 
 @register

@@ -9,17 +9,17 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.channels import interleaved, per_plane, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import inner_product, linear_call
+from jaxisp.arrays.planes import interleaved, per_plane, planes
+from jaxisp.arrays.shares import weighted
+from jaxisp.arrays.stencils import filter_rows_columns, gaussian_blur, pad, views
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import EncodedRGB, LinearRGB
-from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
-from jaxisp.shares import weighted
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
-from jaxisp.windows import filter_rows_columns, gaussian_blur, pad, views
 
 Filter = Callable[[jax.Array], jax.Array]
 

@@ -1,6 +1,6 @@
 """Conversions between colour spaces. Each `a_to_b` is the exact inverse of its `b_to_a`."""
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.color import (
     SRGB_TO_XYZ,
     XYZ_TO_SRGB,

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import planes
+from jaxisp.arrays.linear import pointwise
+from jaxisp.arrays.planes import planes
+from jaxisp.arrays.safe_math import clip
 from jaxisp.color import luma
 from jaxisp.domains import RGB
-from jaxisp.linear import pointwise
-from jaxisp.numerics import clip
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.power import power

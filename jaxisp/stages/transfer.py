@@ -8,8 +8,8 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.rows import elementwise
 from jaxisp.domains import EncodedProPhotoRGB, EncodedRGB, LinearRGB, ProPhotoRGB
-from jaxisp.numerics import elementwise
 from jaxisp.pipeline import register
 
 

@@ -5,9 +5,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from jaxisp.gap.report import html
-from jaxisp.gap.rows import FARTHER, TAKEN_UP
-from jaxisp.gap.spectra import spreads
+from jaxisp.gap.features.spectra import spreads
+from jaxisp.gap.report.page import html
+from jaxisp.gap.report.record import FARTHER, TAKEN_UP
 
 CAUSE = {
     "effect": "vignetting",

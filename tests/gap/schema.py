@@ -6,8 +6,8 @@ from itertools import pairwise
 import pytest
 
 from jaxisp.gap import EFFECTS
-from jaxisp.gap.effects import AXES, BOTH, SITES
-from jaxisp.gap.measured import LEAST_UNIT, NULL_DROP
+from jaxisp.gap.case import LEAST_UNIT, NULL_DROP
+from jaxisp.gap.simulator.effects import AXES, BOTH, SITES
 
 STATUSES = {"accepted", "rejected", "absorbed", "not_identifiable"}
 

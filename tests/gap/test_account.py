@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.account import Shown, accounted, kept_axes
-from jaxisp.gap.measured import Gap
+from jaxisp.gap.case import Gap
+from jaxisp.gap.search.account import Shown, accounted, kept_axes
 
 CLEAN, RAW = "clean+noisy", "raw+jpeg"
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from jaxisp.gap import advice
-from jaxisp.gap.effects import EFFECTS
+from jaxisp.gap.report import advice
+from jaxisp.gap.simulator.effects import EFFECTS
 
 
 @pytest.mark.parametrize(

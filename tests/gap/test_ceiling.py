@@ -8,10 +8,10 @@ import pytest
 from scipy.ndimage import laplace
 from scipy.stats import norm
 
-from jaxisp.gap import ceiling
-from jaxisp.gap.measured import Gap, Split
-from jaxisp.gap.noisy_units import left_by_shift
-from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.case import Gap, Split
+from jaxisp.gap.downstream import ceiling
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.tolerances import left_by_shift
 
 
 class Still:

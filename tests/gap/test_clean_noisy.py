@@ -13,15 +13,16 @@ from PIL import Image
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
 from jaxisp.color import linear_to_srgb
-from jaxisp.gap import EFFECTS, diagnose, noisy_case, noisy_phase
-from jaxisp.gap.measured import Split
-from jaxisp.gap.model import build, plain_freedom
-from jaxisp.gap.noisy_base import MIXING, Camera, noise_freedom, primaries
-from jaxisp.gap.noisy_pairs import clean_pairs, on_each_other
-from jaxisp.gap.noisy_pixels import fit_mean
-from jaxisp.gap.palette import TYPICAL
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.scenes import split_of
+from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap.base import cfa_phase, clean_noisy
+from jaxisp.gap.base.mean import fit_mean
+from jaxisp.gap.base.palette import TYPICAL
+from jaxisp.gap.base.plain_clean import MIXING, Camera, noise_freedom, primaries
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.case import Split
+from jaxisp.gap.pairs.align_clean import clean_pairs, on_each_other
+from jaxisp.gap.pairs.scenes import split_of
+from jaxisp.gap.simulator.model import build, plain_freedom
 from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
@@ -104,7 +105,7 @@ def test_pairs_may_be_cut_anywhere(tmp_path, monkeypatch):
     """Crops at odd places have no pattern in common."""
     report = own_camera(tmp_path / "cut", places=((0, 0), (1, 0), (0, 1), (1, 1)))
     assert report["verdict"] == "none" and report["gap"]["before"] < 1.5 * report["gap"]["floor"]
-    monkeypatch.setattr(noisy_phase, "moves", lambda *arguments: np.zeros((COUNT, 2), int))
+    monkeypatch.setattr(cfa_phase, "moves", lambda *arguments: np.zeros((COUNT, 2), int))
     kept = own_camera(tmp_path / "kept", places=((0, 0), (1, 0), (0, 1), (1, 1)))
     assert kept["gap"]["before"] > 2 * report["gap"]["before"] and kept["where"][0]["axis"] == "cfa_phase"
 
@@ -230,7 +231,7 @@ def test_a_pair_of_two_scenes_is_not_certain():
     assert [row["certain"] for row in rows] == [False]
     names, errors = ("a", "b", "c", "d", "e", "f"), np.array([50.0, 1.1, 1.0, 0.9, 5.0, 20.0])
     mean = SimpleNamespace(z=0, errors=lambda z: errors, pairs=SimpleNamespace(names=names))
-    strays = functools.partial(noisy_case._strays, mean, Split((0, 2, 4), (1, 3, 5)))
+    strays = functools.partial(clean_noisy._strays, mean, Split((0, 2, 4), (1, 3, 5)))
     assert strays(()) == (), (
         "the fitted ones are believed, and no other is twelve times as far off as they are"
     )
@@ -283,7 +284,7 @@ def test_without_a_header_the_grid_says_which_compression_it_was(tmp_path):
 
     def offered(folder):
         loaded = [pair.load() for pair in open_dataset(folder).pairs]
-        case = noisy_case.clean_case(loaded, None, few, 0, lambda *a: None)
+        case = clean_noisy.clean_case(loaded, None, few, 0, lambda *a: None)
         return sorted(case.offered), case.seen
 
     shot, whole, cropped = (tmp_path / name for name in ("shot", "whole", "cropped"))
@@ -317,7 +318,7 @@ def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path, which,
 
 @pytest.mark.slow
 def test_the_halves_of_one_pair_are_never_left_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(noisy_case, "_STRAY", 0.0)  # all that is held out is far off
+    monkeypatch.setattr(clean_noisy, "_STRAY", 0.0)  # all that is held out is far off
     write(tmp_path, "alder", {"nothing": 1}, "clean+noisy", size=SIZE, count=1)
     report = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - {"vignetting"})).report
     assert report["pairs"]["failed"] == [] and len(report["pairs"]["held_out"]) == 1

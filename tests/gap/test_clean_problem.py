@@ -8,17 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import clean_noisy, threads
-from jaxisp.gap.clean_noisy import StatisticsProblem
-from jaxisp.gap.measured import Split
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.noisy_codes import unknown_codes
-from jaxisp.gap.noisy_start import noise_indices
-from jaxisp.gap.noisy_units import noise_only, tolerances, units
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import Whole, _climbed, nearest_form, refit
-from jaxisp.gap.residual import BORDER, Pairs, to_steps
-from jaxisp.gap.statistics import feature_names
+from jaxisp.gap import parallel
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.case import Split
+from jaxisp.gap.features.quantization import unknown_codes
+from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.objective import statistics
+from jaxisp.gap.objective.pixels import BORDER, Pairs, to_steps
+from jaxisp.gap.objective.starts import noise_indices
+from jaxisp.gap.objective.statistics import StatisticsProblem
+from jaxisp.gap.objective.tolerances import noise_only, tolerances, units
+from jaxisp.gap.search.refit import Whole, _climbed, nearest_form, refit
 from tests.conftest import smooth_image
 
 pytestmark = pytest.mark.optimised
@@ -96,7 +97,7 @@ def test_pixels_show_a_warp_by_what_of_their_distance_goes_beyond_the_noise(prob
 def test_threads_find_the_same_columns(problem, monkeypatch):
     found = []
     for most in (1, 4):
-        monkeypatch.setattr(threads, "MOST", most)
+        monkeypatch.setattr(parallel, "MOST", most)
         problem.move_to(problem.z)
         problem.compute(problem.model.base_indices[:6])
         found.append(problem.columns)
@@ -258,11 +259,11 @@ def test_a_stamp_is_a_matter_of_place_not_of_tails(problem, monkeypatch):
     stamped.target = problem.target + 60 * place[..., None] * np.float32([1, -1, 1])
     stamped.real = stamped.measured(stamped.target, stamped.reference)
     stamped.move_to(stamped.z)
-    monkeypatch.setattr(clean_noisy, "in_one_place", lambda residual, scenes: place)
+    monkeypatch.setattr(statistics, "in_one_place", lambda residual, scenes: place)
     rows = stamped.located([1])
     share = {row["axis"]: row["share"] for row in rows}
     found = {row["axis"]: row["share"] for row in stamped.credited(rows, [1])}
     assert found["fixed_pattern"] > share["fixed_pattern"] + 0.1 and found["tail"] < 0.5 * share["tail"]
     assert sum(found.values()) == pytest.approx(sum(share.values()))
-    monkeypatch.setattr(clean_noisy, "in_one_place", lambda residual, scenes: ~place & place)
+    monkeypatch.setattr(statistics, "in_one_place", lambda residual, scenes: ~place & place)
     assert stamped.credited(rows, [1]) is rows

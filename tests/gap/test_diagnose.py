@@ -13,8 +13,8 @@ from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.null_bank import bank
-from jaxisp.gap.rows import HIDDEN, NO_COLOURS
+from jaxisp.gap.axes.null_bank import bank
+from jaxisp.gap.report.record import HIDDEN, NO_COLOURS
 from tests.gap.schema import keeps_the_schema
 
 pytestmark = pytest.mark.optimised

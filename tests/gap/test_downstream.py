@@ -8,13 +8,14 @@ import pytest
 from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.gap import Downstream, downstream
-from jaxisp.gap.account import Shown
+from jaxisp.gap import Downstream
+from jaxisp.gap.case import Case, Split
 from jaxisp.gap.diagnose import _trained
-from jaxisp.gap.downstream import measure_downstream
-from jaxisp.gap.measured import Case, Split
-from jaxisp.gap.report_downstream import downstream_part
-from jaxisp.gap.verdict import Found, Refused
+from jaxisp.gap.downstream import denoisers
+from jaxisp.gap.downstream.denoisers import measure_downstream
+from jaxisp.gap.report.downstream import downstream_part
+from jaxisp.gap.search.account import Shown
+from jaxisp.gap.search.verdict import Found, Refused
 from tests.gap.scenes import scenes
 
 NOISE = 0.15
@@ -64,7 +65,7 @@ def test_the_right_noise_makes_the_better_denoiser(found):
 
 def test_what_is_done_is_not_done_again(found, kept, monkeypatch):
     trained = []
-    monkeypatch.setattr(downstream, "_measured", lambda task, steps, seed: trained.append(seed) or [1.0, 1.0])
+    monkeypatch.setattr(denoisers, "_measured", lambda task, steps, seed: trained.append(seed) or [1.0, 1.0])
     models = {"without": simulator(0.01), "with": simulator(NOISE)}
     again = measure_downstream(case(), models, Downstream(steps=40, seeds=(0, 1), keep=kept), nothing)
     assert again == found and trained == []
@@ -104,7 +105,9 @@ def test_denoisers_are_trained_with_what_comes_nearest_where_nothing_is_accepted
     cause = SimpleNamespace(effect="prnu"), []
     near = None if accepted else Refused([cause], Shown(0.0, []), "near", np.ones(1))
     found = Found([cause] if accepted else [], {}, {}, Shown(0.0, []), Shown(0.0, []), near)
-    monkeypatch.setattr("jaxisp.gap.downstream.measure_downstream", lambda case, models, *rest: models)
+    monkeypatch.setattr(
+        "jaxisp.gap.downstream.denoisers.measure_downstream", lambda case, models, *rest: models
+    )
     case = SimpleNamespace(problem=SimpleNamespace(model="here", z=np.zeros(1)))
     arms = _trained(case, ("base", np.zeros(1)), found, Downstream(), nothing)
     assert (arms["without"][0], arms["with"][0]) == ("base", "here" if accepted else "near")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.gap.earlier import earlier_grid
+from jaxisp.gap.pairs.earlier_grid import earlier_grid
 
 
 def compressed(picture, quality, row=0, column=0):

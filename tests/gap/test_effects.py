@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from jaxisp.errors import InputError
-from jaxisp.gap import EFFECTS, Effect, Move, register_effect, threads
-from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG, check_effect
-from jaxisp.gap.measured import Split
-from jaxisp.gap.model import build, plain_camera, plain_freedom
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import Whole, refit
-from jaxisp.gap.residual import Pairs, Problem
-from jaxisp.gap.solve import fit
-from jaxisp.gap.which import screen
+from jaxisp.gap import EFFECTS, Effect, Move, parallel, register_effect
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.case import Split
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.search.refit import Whole, refit
+from jaxisp.gap.search.screening import screen
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, check_effect
+from jaxisp.gap.simulator.model import build, plain_camera, plain_freedom
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance
 from tests.conftest import smooth_image
@@ -215,8 +215,8 @@ def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):
     screen(problem, names, split)  # whose columns the fits start with
 
     def found(count: int) -> list[np.ndarray]:
-        monkeypatch.setattr(threads.cores, "available", lambda: count)
-        monkeypatch.setattr(threads, "MOST", count)
-        return [t.z for t in threads.each(lambda name: refit(problem, name, split, whole, 0.0, 2), names)]
+        monkeypatch.setattr(parallel.cores, "available", lambda: count)
+        monkeypatch.setattr(parallel, "MOST", count)
+        return [t.z for t in parallel.each(lambda name: refit(problem, name, split, whole, 0.0, 2), names)]
 
     np.testing.assert_array_equal(found(3), found(1))

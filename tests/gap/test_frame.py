@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, zoom
 
 from jaxisp.errors import InputError
 from jaxisp.gap.diagnose import _load
-from jaxisp.gap.frame import in_one_frame
+from jaxisp.gap.pairs.align_raw import in_one_frame
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings

@@ -13,7 +13,7 @@ from experiments.withheld.camera import DISTRIBUTIONS, Effect, Shot, before_body
 from experiments.withheld.numeric import srgb_encode
 from experiments.withheld.scenes import scenes
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.scenes import by_scene
+from jaxisp.gap.pairs.scenes import by_scene
 from tests.gap.schema import keeps_the_schema
 
 BODY = BODIES["alder"]

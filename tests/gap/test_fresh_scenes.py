@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.fresh_scenes import drop, groups, page, pictures
-from jaxisp.gap.measured import Case, Split
-from jaxisp.gap.refit import Trial
+from jaxisp.gap.case import Case, Split
+from jaxisp.gap.search.refit import Trial
 
 
 def test_fresh_scenes_are_neither_fitted_nor_held_out():

@@ -14,11 +14,11 @@ from jaxisp.camera import standard_camera
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.noisy_camera import check_camera, of_camera
-from jaxisp.gap.noisy_given import of_recipe
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.base.given import of_recipe
+from jaxisp.gap.base.given_camera import check_camera, of_camera
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.objective.pixels import Pairs, Problem
 from jaxisp.pipeline import Chain, Gate, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe

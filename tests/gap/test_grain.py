@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.gap.grain import grain_trial, with_grain
-from jaxisp.gap.measured import Split
-from jaxisp.gap.refit import Trial
-from jaxisp.gap.residual import Problem, to_steps
+from jaxisp.gap.case import Split
+from jaxisp.gap.objective.pixels import Problem, to_steps
+from jaxisp.gap.search.film_grain import grain_trial, with_grain
+from jaxisp.gap.search.refit import Trial
 
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 0.47
 

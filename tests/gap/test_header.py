@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from experiments.withheld.scenes import scenes
 from jaxisp.gap.diagnose import raw_case
-from jaxisp.gap.effects import EFFECTS
-from jaxisp.gap.frame import in_one_frame
-from jaxisp.gap.header import of_one_sampling, stated_warp
+from jaxisp.gap.pairs.align_raw import in_one_frame
+from jaxisp.gap.pairs.headers import of_one_sampling, stated_warp
+from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.io import read_raw
 from jaxisp.io.datasets import open_dataset
 from jaxisp.io.dng import write_dng

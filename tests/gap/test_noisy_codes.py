@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.gap.noisy_codes import FREQUENCIES, codes, comb_part, cosine
+from jaxisp.gap.features.quantization import FREQUENCIES, codes, comb_part, cosine
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.look import SplineCurve
 from jaxisp.stages.sensor import LevelSteps, level_steps

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from jaxisp.gap import EFFECTS
-from jaxisp.gap.effects import CLEAN_NOISY, RAW_JPEG
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.prepare import candidates
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.pipeline import Gate, run
 from tests.conftest import smooth_image
 from tests.gap.test_effects import VOCABULARY
 
 ONLY_HERE = [e.name for e in EFFECTS.values() if e not in candidates(RAW_JPEG)]
-"""Film grain too: beside a RAW it is told by its energy (`jaxisp.gap.grain`), there is no move of it."""
+"""Film grain too: beside a RAW its energy tells it (`jaxisp.gap.search.film_grain`), and no move."""
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import noisy_phase
-from jaxisp.gap.noisy_phase import moved
-from jaxisp.gap.residual import Pairs
-from jaxisp.gap.statistics import feature_names
+from jaxisp.gap.base import cfa_phase
+from jaxisp.gap.base.cfa_phase import moved
+from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.objective.pixels import Pairs
 
 N = 5
 NAMES = feature_names()
@@ -36,8 +36,8 @@ def cut(simulated, by, rng, noise=0.03):
 @pytest.fixture
 def moves(monkeypatch):
     """By the noise alone: edges that say nothing."""
-    monkeypatch.setattr(noisy_phase, "_edges", lambda mean: np.zeros((4, N)))
-    return lambda real, simulated: noisy_phase.moves(real, simulated, None)
+    monkeypatch.setattr(cfa_phase, "_edges", lambda mean: np.zeros((4, N)))
+    return lambda real, simulated: cfa_phase.moves(real, simulated, None)
 
 
 def test_each_pair_gets_the_place_where_it_was_cut(moves, simulated, rng):
@@ -58,9 +58,9 @@ def test_what_shows_no_pattern_stays(moves, simulated, rng):
 def test_edges_tell_where_noise_does_not(monkeypatch, simulated):
     unlikely = np.full((4, N), 100.0)
     unlikely[0, :3] = unlikely[2, 3:] = 0
-    monkeypatch.setattr(noisy_phase, "_edges", lambda mean: unlikely)
+    monkeypatch.setattr(cfa_phase, "_edges", lambda mean: unlikely)
     flat = np.zeros_like(simulated)
-    assert noisy_phase.moves(flat, flat, None).tolist() == 3 * [[0, 0]] + 2 * [[1, 0]]
+    assert cfa_phase.moves(flat, flat, None).tolist() == 3 * [[0, 0]] + 2 * [[1, 0]]
 
 
 def test_all_of_a_pair_moves_together(rng):

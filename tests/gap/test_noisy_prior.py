@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import noisy_pixels
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.noisy_pixels import fit_mean
-from jaxisp.gap.noisy_prior import Prior, plain_prior, usual_matrix
-from jaxisp.gap.palette import TYPICAL
-from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.base import mean
+from jaxisp.gap.base.mean import fit_mean
+from jaxisp.gap.base.palette import TYPICAL
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.base.priors import Prior, plain_prior, usual_matrix
+from jaxisp.gap.objective.pixels import Pairs, Problem
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from tests.conftest import smooth_image
@@ -73,5 +73,5 @@ def test_colours_that_were_not_fitted_come_out_as_a_camera_has_them(monkeypatch)
 
     with_prior = far_off()
     nothing = Prior(np.zeros((1, 22)), np.zeros(1), 0.0)
-    monkeypatch.setattr(noisy_pixels, "plain_prior", lambda *a: nothing)
+    monkeypatch.setattr(mean, "plain_prior", lambda *a: nothing)
     assert with_prior < 0.6 * far_off()

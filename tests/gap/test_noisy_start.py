@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.noisy_base import MIXING, Camera, primaries
-from jaxisp.gap.noisy_start import noise_indices, noisier, placed, starts, told_by_noise
-from jaxisp.gap.noisy_units import emphasis, emphasised, group_of, weights
-from jaxisp.gap.palette import TYPICAL
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.statistics import feature_names
+from jaxisp.gap.base.palette import TYPICAL
+from jaxisp.gap.base.plain_clean import MIXING, Camera, primaries
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.objective.starts import noise_indices, noisier, placed, starts, told_by_noise
+from jaxisp.gap.objective.tolerances import emphasis, emphasised, group_of, weights
 
 READ, SHOT = 0.004, 4e-4  # the defaults of the stage
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap import noisy_tones as tones
+from jaxisp.gap.objective import tones
 
 
 def test_blocks_are_means_of_what_counts():

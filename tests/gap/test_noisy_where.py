@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.noisy_units import axis_of, present, weights
-from jaxisp.gap.noisy_where import credited, in_one_place, located
-from jaxisp.gap.statistics import feature_names
+from jaxisp.gap.axes.statistics import credited, in_one_place, located
+from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.objective.tolerances import axis_of, present, weights
 
 SIDE, SCENES = 96, [f"scene{k}" for k in range(6)]
 AXIS = np.array([axis_of(name) for name in feature_names()])

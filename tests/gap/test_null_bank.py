@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from experiments.null_bank import BEYOND, LEAST, bank_of, beyond, left_out
-from jaxisp.gap import null_bank
-from jaxisp.gap.effects import AXES, CLEAN_NOISY, RAW_JPEG
-from jaxisp.gap.measured import Gap
-from jaxisp.gap.null_bank import CLEAR, as_large, bank, held_against_nulls
+from jaxisp.gap.axes import null_bank
+from jaxisp.gap.axes.null_bank import CLEAR, as_large, bank, held_against_nulls
+from jaxisp.gap.case import Gap
+from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, RAW_JPEG
 
 GAP = Gap(before=12.0, floor=2.0)
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from experiments.withheld.scenes import GREY, scenes
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.palette import TYPICAL, is_colourless, typical_matrix
-from jaxisp.gap.rows import NO_COLOURS, TAKEN_UP
+from jaxisp.gap.base.palette import TYPICAL, is_colourless, typical_matrix
+from jaxisp.gap.report.record import NO_COLOURS, TAKEN_UP
 
 
 def taken(name: str, colours: float = 1.0, noise: float = 0.0) -> np.ndarray:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from jaxisp.camera import standard_camera
-from jaxisp.gap.absorbed import taken_up
-from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom, rooted
-from jaxisp.gap.prepare import camera_model, candidates, choices, fit_base
-from jaxisp.gap.residual import Pairs, Problem
-from jaxisp.gap.rows import base_row
+from jaxisp.gap.base.absorbed import taken_up
+from jaxisp.gap.base.raw_jpeg import camera_model, candidates, choices, fit_base
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.report.record import base_row
+from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom, rooted
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings

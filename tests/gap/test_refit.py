@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap.effects import RAW_JPEG
-from jaxisp.gap.measured import Split
-from jaxisp.gap.model import Choice, build, plain_camera, plain_freedom
-from jaxisp.gap.prepare import candidates
-from jaxisp.gap.refit import Whole, few_scenes, interval, refit
-from jaxisp.gap.residual import Pairs, Problem
+from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.case import Split
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.search.refit import Whole, few_scenes, interval, refit
+from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from jaxisp.cli.diagnose import _print, _warn
 from jaxisp.errors import InputError
-from jaxisp.gap.report import few_pairs, html, sentence, unexplained, write_report
+from jaxisp.gap.report.page import few_pairs, html, sentence, unexplained, write_report
 from tests.gap.page import CAUSE, GREY, PICTURES, REPORT, Balance, changed, shown
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.gap.report import html
-from jaxisp.gap.report_plots import gain_for
+from jaxisp.gap.report.page import html
+from jaxisp.gap.report.plots import gain_for
 from tests.gap.page import PICTURES, REPORT, STATISTIC, Balance, changed, shown
 
 

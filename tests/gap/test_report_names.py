@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from jaxisp.gap import EFFECTS
-from jaxisp.gap.model import plain_camera
-from jaxisp.gap.noisy_base import Camera
-from jaxisp.gap.report_axes import PIXELS, STATISTICS, statistic, statistic_words
-from jaxisp.gap.report_params import MEMBERS, parameters_of
-from jaxisp.gap.report_words import words
-from jaxisp.gap.statistics import feature_names
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic, statistic_words
+from jaxisp.gap.report.parameters import MEMBERS, parameters_of
+from jaxisp.gap.report.words import words
+from jaxisp.gap.simulator.model import plain_camera
 from jaxisp.params import specs
 from jaxisp.pipeline import signature
 from jaxisp.stages import STAGES

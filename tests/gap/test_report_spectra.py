@@ -7,8 +7,8 @@ import pytest
 
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.report_spectra import lag_maps, spectra_part, spectra_plot, strongest
-from jaxisp.gap.spectra import LAGS, spread, spreads
+from jaxisp.gap.features.spectra import LAGS, spread, spreads
+from jaxisp.gap.report.spectra import lag_maps, spectra_part, spectra_plot, strongest
 
 SHAPE = (4, 96, 120)
 ALL = np.ones(SHAPE)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.account import Shown
-from jaxisp.gap.refit import Trial
-from jaxisp.gap.rows import (
+from jaxisp.gap.report.record import (
     FARTHER,
     HIDDEN,
     LEADS_LITTLE,
@@ -18,7 +16,9 @@ from jaxisp.gap.rows import (
     TAKEN_UP,
     ranking_rows,
 )
-from jaxisp.gap.verdict import Found
+from jaxisp.gap.search.account import Shown
+from jaxisp.gap.search.refit import Trial
+from jaxisp.gap.search.verdict import Found
 
 
 def found(promises, trials=None, causes=(), hidden=()):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from jaxisp.gap.noisy_prior import Prior
-from jaxisp.gap.solve import fit
+from jaxisp.gap.base.priors import Prior
+from jaxisp.gap.gauss_newton import fit
 
 RNG = np.random.default_rng(2)
 DESIGN, TARGET = RNG.normal(size=(40, 3)), RNG.normal(size=40)

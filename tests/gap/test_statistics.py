@@ -6,13 +6,19 @@ import pytest
 from scipy.ndimage import convolve, gaussian_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
-from jaxisp.gap import statistics
-from jaxisp.gap.effects import AXES
-from jaxisp.gap.noisy_codes import unknown_codes
-from jaxisp.gap.noisy_mean import normalised_regressors, regressors, tents
-from jaxisp.gap.noisy_noise import LEVELS
-from jaxisp.gap.noisy_units import axis_of, present, tolerances, weights
-from jaxisp.gap.statistics import compile_features, feature_names, features, frames_of, noise_of
+from jaxisp.gap.features import residual_statistics
+from jaxisp.gap.features.mean import normalised_regressors, regressors, tents
+from jaxisp.gap.features.noise import LEVELS
+from jaxisp.gap.features.quantization import unknown_codes
+from jaxisp.gap.features.residual_statistics import (
+    compile_features,
+    feature_names,
+    features,
+    frames_of,
+    noise_of,
+)
+from jaxisp.gap.objective.tolerances import axis_of, present, tolerances, weights
+from jaxisp.gap.simulator.effects import AXES
 from tests.gap.scenes import scenes
 
 SCENE = scenes(np.random.default_rng(3), 4, (112, 112))  # of the diagnoses' size: they share its programs
@@ -234,7 +240,7 @@ def test_what_frames_of_a_scene_have_in_common_is_no_noise():
 
 
 def test_what_was_compiled_before_serves_pictures_of_that_size():
-    shape, programs = (52, 60), (statistics._noise_part, statistics._patterns)
+    shape, programs = (52, 60), (residual_statistics._noise_part, residual_statistics._patterns)
     compile_features([2], shape)
     sizes = [program._cache_size() for program in programs]
     scene = jnp.asarray(SCENE[:2, : shape[0], : shape[1]])

@@ -5,10 +5,10 @@ import types
 import numpy as np
 import pytest
 
-from jaxisp.gap import stepwise
-from jaxisp.gap.measured import Split
-from jaxisp.gap.refit import Trial, Whole
-from jaxisp.gap.stepwise import Terms, search
+from jaxisp.gap.case import Split
+from jaxisp.gap.search import stepwise
+from jaxisp.gap.search.refit import Trial, Whole
+from jaxisp.gap.search.stepwise import Terms, search
 
 
 class Problem:

@@ -3,12 +3,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxisp.gap import verdict
-from jaxisp.gap.account import Shown
-from jaxisp.gap.measured import Case, Gap, Split
-from jaxisp.gap.refit import Trial, Whole
-from jaxisp.gap.stepwise import Searched
-from jaxisp.gap.verdict import by_closure, gap_at, searched
+from jaxisp.gap.case import Case, Gap, Split
+from jaxisp.gap.search import verdict
+from jaxisp.gap.search.account import Shown
+from jaxisp.gap.search.refit import Trial, Whole
+from jaxisp.gap.search.stepwise import Searched
+from jaxisp.gap.search.verdict import by_closure, gap_at, searched
 
 
 def trial(effect, z, before, after, choice=None):

@@ -7,8 +7,8 @@ import pytest
 from scipy.fft import dctn, idctn
 from scipy.ndimage import uniform_filter
 
-from jaxisp.gap.effects import AXES
-from jaxisp.gap.where import where
+from jaxisp.gap.axes.regression import where
+from jaxisp.gap.simulator.effects import AXES
 from tests.gap.scenes import scenes
 
 PICTURE = scenes(np.random.default_rng(5), 5, (112, 128))

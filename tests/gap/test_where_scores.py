@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.where import _Evidence
-from jaxisp.gap.where_features import Scene
-from jaxisp.gap.where_scores import Repeated, cut
+from jaxisp.gap.axes.pixel_features import Scene
+from jaxisp.gap.axes.regression import _Evidence
+from jaxisp.gap.axes.scores import Repeated, cut
 from tests.gap.scenes import scenes
 
 SHOWN_IN = np.array([0, 0, 1, 2, 3, 3])  # frames of the first and the last

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from jaxisp.gap.measured import Split
-from jaxisp.gap.refit import Trial
-from jaxisp.gap.which import best, foretold, hidden, like_the_nearest, lookalikes, of_form
+from jaxisp.gap.case import Split
+from jaxisp.gap.search.refit import Trial
+from jaxisp.gap.search.screening import best, foretold, hidden, like_the_nearest, lookalikes, of_form
 
 
 def trial(effect, closed, low, high):

@@ -13,7 +13,7 @@ from jaxisp.errors import InputError
 from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, read_jpeg, write_jpeg
 from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.orientation import orient
-from jaxisp.jpeg_tables import quality_tables
+from jaxisp.jpeg.tables import quality_tables
 from tests.conftest import smooth_image
 
 PICTURE = np.rint(smooth_image((37, 50, 3)) * 255).astype(np.uint8)

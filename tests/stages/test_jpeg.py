@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image, JpegPresets
 
-from jaxisp.jpeg_tables import PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
+from jaxisp.jpeg.tables import PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.stages.jpeg import Jpeg, JpegPhotoshop, JpegTables, jpeg, jpeg_photoshop, jpeg_tables
 from tests.conftest import smooth_image
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from jax import lax
 
+from jaxisp.arrays.stencils import filter_rows_columns
 from jaxisp.pipeline import over_batch
 from jaxisp.recipes import RECIPES
 from jaxisp.stages.denoise.bilateral import bilateral_planes
 from jaxisp.stages.denoise.grid import grid_planes
 from jaxisp.stages.jpeg import Jpeg, jpeg
-from jaxisp.windows import filter_rows_columns
 from tests.conftest import smooth_image
 
 

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     Pair,
@@ -26,8 +28,6 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.homogeneity import homogeneity_lead
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import pad
 
 
 @register

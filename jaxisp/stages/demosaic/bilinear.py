@@ -5,10 +5,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad, views
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.linear import linear_call
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     collect,
@@ -18,7 +19,6 @@ from jaxisp.stages.demosaic.common import (
     sites,
 )
 from jaxisp.stages.demosaic.linear import mirrored
-from jaxisp.windows import pad, views
 
 REACH = 1
 """How far from a pixel its result depends on the mosaic [px]."""

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxisp import cfa as cfa_layout
-from jaxisp.numerics import materialize
-from jaxisp.windows import pad, views
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.stencils import pad, views
 
 Planes = tuple[jax.Array, jax.Array, jax.Array]
 Pair = tuple[jax.Array, jax.Array]

@@ -5,14 +5,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import collect, diagonal_sum, red_and_blue, row_and_column_sums, sites
 from jaxisp.stages.demosaic.hamilton_adams import share_of_rows
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
-from jaxisp.windows import pad
 
 REACH = 1
 """How far from a pixel its result depends on the mosaic [px]."""

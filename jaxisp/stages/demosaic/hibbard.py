@@ -5,10 +5,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad, views
 from jaxisp.cfa import check_cfa, shifted
-from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     CROSS,
@@ -18,7 +19,6 @@ from jaxisp.stages.demosaic.common import (
     spread_differences,
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
-from jaxisp.windows import pad, views
 
 REACH = 2
 """How far from a pixel its result depends on the mosaic [px]."""

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.stencils import pad, square, views
 from jaxisp.color import SRGB_TO_XYZ
-from jaxisp.numerics import materialize
 from jaxisp.stages.demosaic.common import Planes
-from jaxisp.windows import pad, square, views
 
 _GROUP = 12  # window offsets a fused kernel, three planes each
 

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.linear import linear_call
-from jaxisp.windows import edge_counts
+from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.stencils import edge_counts
 
 Operator = Callable[..., jax.Array]
 """`operator(*held, x)`, linear in x."""

@@ -5,13 +5,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.domains import CameraRGB
-from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Planes
 from jaxisp.stages.denoise.median import median_plane
-from jaxisp.striping import in_strips_on_cpu
 
 
 def smooth_differences(rgb: Planes, passes: int) -> Planes:

@@ -5,14 +5,14 @@ from functools import partial, reduce
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad, views
 from jaxisp.cfa import check_cfa
-from jaxisp.channels import interleaved, planes
 from jaxisp.domains import CameraRGB, Mosaic
-from jaxisp.numerics import materialize
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Sites, sites
 from jaxisp.stages.demosaic.linear import piecewise_linear
-from jaxisp.windows import pad, views
 
 REACH = 2
 """How far from a pixel its result depends on the mosaic [px]."""

@@ -10,16 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import store, store_off_cpu
+from jaxisp.arrays.linear import inner_product, linear_call
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import nearest_int
+from jaxisp.arrays.stencils import edge_counts, pad, views
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
-from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import nearest_int, store, store_off_cpu
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.grid import grid_planes
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import edge_counts, pad, views
 
 Planes = tuple[jax.Array, ...]
 

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize
-from jaxisp.windows import pad
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.stencils import pad
 
 Bands = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Approximation, then horizontal, vertical and diagonal detail: low or high along (rows, columns) as

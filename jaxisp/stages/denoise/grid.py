@@ -15,8 +15,9 @@ import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxisp.linear import fused_sum, linear_call
-from jaxisp.numerics import on_all_cores, store, store_off_cpu, straight_through
+from jaxisp.arrays.barriers import on_all_cores, store, store_off_cpu
+from jaxisp.arrays.linear import fused_sum, linear_call
+from jaxisp.arrays.safe_math import straight_through
 from jaxisp.stages.denoise.grid_blur import blurred
 
 Planes = tuple[jax.Array, ...]

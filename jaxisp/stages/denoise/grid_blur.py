@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.linear import fused_sum, linear_call, scaled
-from jaxisp.numerics import store
+from jaxisp.arrays.barriers import store
+from jaxisp.arrays.linear import fused_sum, linear_call, scaled
 
 Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
 

@@ -6,16 +6,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import edge_counts, pad, views
+from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
-from jaxisp.linear import linear_call
-from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.networks import MEDIANS
-from jaxisp.striping import in_strips_on_cpu
-from jaxisp.windows import edge_counts, pad, views
 
 Offsets = tuple[tuple[int, int], ...]
 _LARGE = 8  # times the usual: up to that three planes leave a CPU with less than 32 MB of scratch

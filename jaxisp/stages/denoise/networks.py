@@ -5,7 +5,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxisp.windows import pad, views
+from jaxisp.arrays.stencils import pad, views
 
 Network = tuple[tuple[int, int], ...]
 """Comparators (i, j): wire i gets the smaller and wire j the larger, in order."""

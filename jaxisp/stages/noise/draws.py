@@ -2,8 +2,8 @@
 
 import jax
 
+from jaxisp.arrays.stencils import filter_rows_columns
 from jaxisp.stages.draws import standard_normal
-from jaxisp.windows import filter_rows_columns
 
 
 def normal(key: jax.Array, like: jax.Array, shape: tuple[int, ...] | None = None) -> jax.Array:

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
-from jaxisp.numerics import materialize, safe_sqrt, straight_through
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise.draws import normal

@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import safe_sqrt
+from jaxisp.arrays.stencils import gaussian_blur, gaussian_taps
 from jaxisp.color import luma
 from jaxisp.domains import EncodedRGB, Image
-from jaxisp.numerics import safe_sqrt
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise.draws import filtered_normal, normal
-from jaxisp.windows import gaussian_blur, gaussian_taps
 
 
 @parameters

@@ -9,14 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import inner_product, linear_call
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.safe_math import clip
+from jaxisp.arrays.stencils import pad, views
 from jaxisp.domains import LinearRGB
-from jaxisp.linear import inner_product, linear_call
-from jaxisp.numerics import clip, materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
-from jaxisp.windows import pad, views
 
 Places = tuple[jax.Array, jax.Array, jax.Array]  # an image, and rows and columns in it
 _STRIP = 1 << 16  # px whose gradient goes back at once: the memory of a large frame's would take long to get

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.linear import pointwise
+from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.domains import LinearRGB
-from jaxisp.linear import pointwise
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import radius_squared

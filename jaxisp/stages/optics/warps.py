@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.channels import interleaved, planes
+from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.stencils import pad
 from jaxisp.domains import LinearRGB
-from jaxisp.numerics import materialize
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
 from jaxisp.stages.optics.displacement import displaced, picked
-from jaxisp.windows import pad
 
 _SHARPNESS = "0 linear interpolation, 1 Keys' cubic with a = -1/2, in proportion between and beyond"
 

@@ -1,0 +1,1 @@
+"""Where a gap lies: the axes, their shares and the null bank."""

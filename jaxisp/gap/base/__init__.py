@@ -1,0 +1,1 @@
+"""The simulator before any effect is added: fitted, or given."""

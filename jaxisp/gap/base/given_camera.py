@@ -1,0 +1,126 @@
+"""Clean+noisy pairs: a camera that is given, mosaic to picture, as the base.
+
+Nothing in a camera says how the light on its sensor follows from the clean picture's colours and tones, nor
+how noisy the sensor was: this is fitted, and all that the camera does with the mosaic is believed.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.camera import WHITE_BALANCE, with_cfa
+from jaxisp.domains import ENCODED, MOSAIC, accepts
+from jaxisp.errors import InputError
+from jaxisp.gap.base.given import Given, Open, believed
+from jaxisp.gap.base.given_chain import demosaics, flat_nodes, renamed, with_file
+from jaxisp.gap.base.plain_clean import Camera, narrowed
+from jaxisp.gap.base.raw_jpeg import with_choice
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.simulator.effects import Effect
+from jaxisp.gap.simulator.model import Coordinate, build, plain_freedom
+from jaxisp.gap.simulator.render import Kept, render
+from jaxisp.pipeline import Chain, Node, Params, Stage, stage
+from jaxisp.priors import LogUniform
+from jaxisp.recipe import Recipe
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+from jaxisp.stages.balanced_noise import BalancedNoise
+
+_TONE, _MATRIX, _NOISE = "scene_tone", "scene_matrix", "balanced_noise"
+_OPEN = {"shot": (2e-5, 0.1), "read": (3e-4, 0.2), "red_gain": (0.2, 8.0), "blue_gain": (0.2, 8.0)}
+_ABSORBED = ("tone_curve", "color_matrix", "white_balance")
+
+
+def check_camera(camera: Recipe) -> None:
+    """Raise InputError unless it turns a mosaic into encoded sRGB, demosaicking it once."""
+    nodes = list(flat_nodes(camera.chain.nodes, camera))
+    chain = Chain(tuple(nodes))
+    times = sum(map(demosaics, nodes))
+    if not accepts(chain.domain_in, MOSAIC) or chain.domain_out != ENCODED or times != 1:
+        raise InputError(
+            f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}, demosaicking "
+            f"{times} times; a diagnosis needs mosaic into encoded sRGB, demosaicked once"
+        )
+
+
+def of_camera(
+    recipe: Recipe, effects: Sequence[Effect], plain: Camera, mean: Problem, fit_on: Sequence[int]
+) -> tuple[Given, Pairs]:
+    """A camera as the base, behind what takes the clean picture to its sensor.
+
+    Args:
+        recipe: the camera; where it takes white balance from the RAW, that of `plain` is taken.
+        effects: whose names are theirs.
+        plain, mean: the plain base at its best, where the search for matrix and curve begins.
+        fit_on: the pairs that are fitted.
+
+    Returns:
+        the base, and the pairs with what the sensor saw for light.
+
+    Raises:
+        InputError: it is no such camera.
+    """
+    check_camera(recipe)
+    nodes, names = renamed([with_cfa(n, plain.cfa) for n in flat_nodes(recipe.chain.nodes, recipe)], effects)
+    nodes, tables = with_file(nodes, plain.file)
+    noisy = any(n.stochastic for n in nodes)
+    sensor: list[Node] = [stage("mosaic", cfa=plain.cfa)]
+    sensor += [] if noisy else [stage(_NOISE, cfa=plain.cfa)]
+    chain = with_choice(Chain((*_scene().nodes, *sensor, *nodes), recipe.name))
+    params, opened = believed(recipe, names, chain.init())
+    params = params | tables
+    if WHITE_BALANCE in recipe.meta.get("from_file", []):
+        gains = np.array([plain.gains[0], 1, plain.gains[1]], np.float32)
+        params[names.get(WHITE_BALANCE, WHITE_BALANCE)] = WhiteBalance(gains=gains)
+    absorbed = _ABSORBED if noisy else (*_ABSORBED, "noise_level")
+    if not noisy:
+        params[_NOISE] = BalancedNoise(red_gain=np.float32(1), blue_gain=np.float32(1))
+        opened += tuple(Open(_NOISE, field, (), LogUniform(*law)) for field, law in _OPEN.items())
+    given = Given(f"camera {recipe.name}", chain, params, opened, (), absorbed)
+    seen = _seen(given, mean, fit_on)
+    given = dataclasses.replace(given, mean=tuple(narrowed(_freedom())))
+    return given, seen
+
+
+def _scene() -> Chain:
+    """From the clean picture's light to the sensor's: one curve and one matrix."""
+    matrix = Stage(stage("color_matrix").fn, _MATRIX)
+    tone = Stage(stage("spline_curve").fn, _TONE)
+    nodes = (stage("srgb_oetf", name="scene_encoded"), tone, stage("srgb_eotf", name="scene_light"), matrix)
+    return Chain(nodes, "scene")
+
+
+def _freedom() -> list[Coordinate]:
+    """The scene's curve and matrix, as the plain base has them."""
+    names = {"color_matrix": _MATRIX, "tone_curve": _TONE}
+    return [dataclasses.replace(c, node=names[c.node]) for c in plain_freedom() if c.node in names]
+
+
+def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> Pairs:
+    """The pairs with the light that the sensor saw: curve and matrix such that the camera's pictures are
+    nearest to the real ones, pixel by pixel."""
+    still = given.still
+    start = {name: given.params[name] for name in still.init()} | {_MATRIX: _start(given, mean)}
+    problem = Problem(build(still, start, {}, _freedom(), []), mean.pairs)
+    fit(problem, problem.model.base_indices, fit_on, steps=4)
+    problem.weigh(problem.robust_weights(), problem.z)
+    fit(problem, problem.model.base_indices, fit_on, steps=4)
+    fitted = problem.model.moved(problem.z).shared
+    scene = _scene()
+    own: Params = {name: fitted[name] for name in scene.init()}
+    return mean.pairs.relit(lambda light: jnp.asarray(render(scene, own, {}, light, None, Kept())))
+
+
+def _start(given: Given, mean: Problem) -> ColorMatrix:
+    """The plain base's colours, seen before the camera's own gains and matrix."""
+    plain = mean.model.moved(mean.z).shared
+    wanted = np.asarray(plain["color_matrix"].matrix, float)
+    for own in given.params.values():
+        if isinstance(own, ColorMatrix) and own is not given.params[_MATRIX]:
+            wanted = np.linalg.pinv(np.asarray(own.matrix, float), rcond=0.02) @ wanted
+    for own in given.params.values():
+        if isinstance(own, WhiteBalance):
+            wanted = wanted / np.asarray(own.gains, float)[:, None]
+    return ColorMatrix(matrix=np.asarray(np.clip(wanted, -4, 4), np.float32))

@@ -1,0 +1,91 @@
+"""Clean+noisy pairs: the base's mean, fitted pixel by pixel."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxisp.color import srgb_to_linear
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.base.priors import plain_prior, usual_matrix
+from jaxisp.gap.base.sensor import find_sensor
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import Pairs, Problem, to_steps
+from jaxisp.io.jpeg import Jpeg
+from jaxisp.pipeline import Params
+from jaxisp.stages.balance import ColorMatrix
+
+_SETTLED = 0.01
+_ALIKE = 3.0
+"""By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
+
+
+def fit_mean(
+    file: Jpeg | None, pairs: Pairs, fit_on: Sequence[int], cfa: str | None
+) -> tuple[Camera, Problem]:
+    """The noise-free base whose pictures are nearest to the noisy ones, pixel by pixel.
+
+    Returns:
+        the camera, its colour filter array found unless it is given, and the problem at the best point.
+    """
+    camera = Camera(file, cfa or "RGGB")
+    pairs = _scaled(pairs)
+    gains = _gains(pairs, fit_on)
+    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(usual_matrix(gains), -4, 4)))}
+    problem = Problem(camera.mean_model(start), pairs)
+    for steps in (5, 1, 1, 1, 1, 2):
+        _fit(problem, fit_on, gains, steps)
+        problem.pairs, change = _exposed(problem)
+        pairs = problem.pairs
+        problem.move_to(problem.z)
+        if change < _SETTLED and steps == 1:
+            break
+    _fit(problem, fit_on, gains, 2)
+    fitted = problem.model.moved(problem.z).shared
+    camera = find_sensor(camera, fitted, pairs, fit_on, cfa is None)
+    problem = Problem(camera.mean_model(fitted), pairs)
+    problem.weigh(problem.robust_weights())
+    _fit(problem, fit_on, gains, 4)
+    return camera, problem
+
+
+def _fit(problem: Problem, fit_on: Sequence[int], gains: np.ndarray, steps: int) -> None:
+    prior = plain_prior(problem, gains, fit_on)
+    fit(problem, problem.model.base_indices, fit_on, steps=steps, prior=prior)
+
+
+def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
+    """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
+    which = list(fit_on)
+    own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
+    seen = (srgb_to_linear(pairs.pictures[which].astype(np.float64)) * own).sum((0, 1, 2))
+    return np.asarray(np.clip(seen / np.maximum((light * own).sum((0, 1, 2)), 1e-9), 0.05, 20))
+
+
+def _scaled(pairs: Pairs) -> Pairs:
+    """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
+    may be of another exposure, tens of times as dark."""
+    light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
+    ratio = (srgb_to_linear(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
+        (light * own).sum((1, 2, 3)), 1e-9
+    )
+    if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
+        ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
+    return pairs.relit(lambda light: light * ratio.astype(np.float32)[:, None, None, None])
+
+
+def _exposed(problem: Problem) -> tuple[Pairs, float]:
+    """The pairs with each scene's light scaled to the exposure that its own picture shows, channel by channel
+    (white is balanced for each scene), and the largest change that this was."""
+    pairs, probe = problem.pairs, 1.05
+    columns = []
+    for gains in 1 + (probe - 1) * np.eye(3, dtype=np.float32):
+        brighter = to_steps(problem.model.render(problem.z, pairs.light * gains)[problem.inner])
+        columns.append((brighter - problem.current) * problem.weight / (probe - 1))
+    stacked = np.stack(columns, 1).reshape(len(pairs.names), 3, -1)
+    gram = np.einsum("nip,njp->nij", stacked, stacked, dtype=np.float64)
+    slope = np.einsum("nip,np->ni", stacked, problem.residual.reshape(len(stacked), -1), dtype=np.float64)
+    damping = 1e-3 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-9
+    gain = np.clip(1 + np.linalg.solve(gram + damping, slope[..., None])[..., 0], 0.5, 2)
+    gain = np.clip(gain / np.exp(np.log(gain).mean(0)), 0.5, 2).astype(np.float32)
+    moved = pairs.relit(lambda light: light * gain[:, None, None, :])
+    return moved, float(np.abs(gain - 1).max())

@@ -1,0 +1,191 @@
+"""Clean+noisy pairs: the plain camera that is their base, and what of it is free."""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxisp.gap.base.palette import TYPICAL
+from jaxisp.gap.simulator.effects import Effect, Move
+from jaxisp.gap.simulator.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
+from jaxisp.io.jpeg import Jpeg
+from jaxisp.pipeline import Chain, Params, Stage, stage
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.jpeg import JpegTables
+from jaxisp.stages.power import Gamma
+
+NOISE = ("shot", "read", "red_gain", "blue_gain")
+_USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
+"""What sensors need in daylight and indoors, and by how much that differs."""
+_REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
+_FILE = "file_chroma"
+MIXING = "mixing"
+"""The node that takes what the sensor saw back to the clean picture's colours."""
+_BALANCES = ("to_raw", "early_balance", "later_balance")
+_COMPANDED = (COMPANDING, EXPANSION)
+_READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
+            "hot_pixels", "adc_quantization")  # fmt: skip
+"""Effects that act on what the sensor reads, shot noise and all, before white is balanced."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """What the base has no number for.
+
+    Attributes:
+        file: whose header is believed.
+        cfa: the colour filter array.
+        algorithm: that demosaicks.
+        gains: of red and blue.
+        late: whether white is balanced after demosaicking.
+        gamma: of the values that are demosaicked: 1 for linear ones, 2 for their square roots.
+        share: of a typical colour matrix, that takes the sensor's primaries to those of the clean picture;
+            where the noise's fit begins.
+    """
+
+    file: Jpeg | None
+    cfa: str = "RGGB"
+    algorithm: str = "bilinear"
+    gains: tuple[float, float] = (2.0, 1.6)
+    late: bool = False
+    gamma: float = 1.0
+    share: float = 0.7
+
+    def chain(self) -> tuple[Chain, Params]:
+        """Scene to picture: the sensor's primaries, mosaic, noise, demosaicking, white level, back to the
+        clean picture's primaries, one matrix, sRGB, one curve, the file's compression."""
+        mosaic, late = stage("mosaic_white_balance", cfa=self.cfa), stage("white_balance")
+        encoder, tables = encoder_of(self.file)
+        demosaicking: list[Any] = [stage("demosaicking", cfa=self.cfa, algorithm=self.algorithm)]
+        if self.gamma != 1:
+            around = ("gamma_compression", "gamma_expansion")
+            before, after = (Stage(stage(fn).fn, name) for fn, name in zip(around, _COMPANDED))
+            demosaicking = [before, *demosaicking, after]
+        nodes: list[Any] = [
+            Stage(stage("color_matrix").fn, "primaries"),
+            stage("mosaic", cfa=self.cfa),
+            Stage(stage("black_level").fn, "black_level_offset"),
+            stage("balanced_noise", cfa=self.cfa),
+            Stage(mosaic.fn, _BALANCES[0], mosaic.static),
+            Stage(mosaic.fn, _BALANCES[1], mosaic.static),
+            *demosaicking,
+            Stage(late.fn, _BALANCES[2], late.static),
+            stage("clip", name="white_level", low=-1.0),
+            Stage(stage("color_matrix").fn, MIXING),
+            stage("color_matrix"),
+            stage("srgb_oetf"),
+            Stage(stage("spline_curve").fn, "tone_curve"),
+            stage("clip", name="display_range"),
+            encoder,
+        ]
+        chain = Chain(tuple(nodes), "plain")
+        params = chain.init() | balances(self.gains, self.late) | tables
+        gamma = Gamma(gamma=np.float32(self.gamma))
+        return chain, params | {name: gamma for name in _COMPANDED if name in params}
+
+    def mean_model(self, params: Params) -> Model:
+        """Without noise, and with no more of the file than its chroma sampling."""
+        chain, own = self.chain()
+        nodes = chain.without("balanced_noise", chain.nodes[-1].name).nodes
+        shares = HALVED.get(self.file.subsampling) if self.file else None
+        if shares:
+            nodes = (*nodes, Stage(stage("chroma_subsampling").fn, _FILE))
+            horizontal, vertical = map(np.float32, shares)
+            own[_FILE] = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
+        still = Chain(nodes, "plain")
+        names = set(still.init())
+        own |= {name: value for name, value in params.items() if name not in (*_BALANCES, *_COMPANDED)}
+        own |= primaries(np.eye(3) + self.share * TYPICAL)
+        own = {name: value for name, value in own.items() if name in names}
+        return build(still, own, {}, plain_freedom(), [])
+
+    def whole_model(self, mean: Model, effects: Sequence[Effect]) -> Model:
+        """The noisy base with every effect in it, off; its mean is that of `mean`, whatever the primaries."""
+        chain, params = self.chain()
+        shared = params | {name: value for name, value in mean.shared.items() if name != _FILE}
+        free = (*noise_freedom(shared), *narrowed(plain_freedom()))
+        model = build(chain, shared, {}, free, effects, keep_file=True)
+        return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]), tied=_tied)
+
+
+def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
+    """What the file did to the picture, by its header; rounding where that says nothing."""
+    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
+        return stage("rounding"), {}
+    encoder = stage("jpeg_tables", subsampling=file.subsampling)
+    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
+    return Stage(encoder.fn, "file", encoder.static), {
+        "file": JpegTables(luma_table=luma, chroma_table=chroma)
+    }
+
+
+def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
+    """Bounds about where the mean was fitted by pixels: beside noise the best is a little elsewhere, and a
+    few statistics must not take it far."""
+    found = []
+    for c in free:
+        reach = _REACH[c.move.field]
+        move = dataclasses.replace(c.move, low=-reach, high=reach, spread=reach / 3)
+        found.append(dataclasses.replace(c, move=move))
+    return found
+
+
+def balances(gains: tuple[float, float], late: bool) -> Params:
+    """From balanced light to what the sensor reads, and back before demosaicking or after."""
+    own, one = np.array([gains[0], 1, gains[1]], np.float32), np.ones(3, np.float32)
+    order = (1 / own, one, own) if late else (1 / own, own, one)
+    return {name: WhiteBalance(gains=g) for name, g in zip(_BALANCES, order)}
+
+
+def read_out(chain: Chain, after: str) -> Chain:
+    """The chain with the effects of the readout where the sensor is read: after this node."""
+    wanted = [f"use_{name}" for name in _READOUT]
+    moved = sorted((n for n in chain.nodes if n.name in wanted), key=lambda n: wanted.index(n.name))
+    nodes = [n for n in chain.nodes if n.name not in wanted]
+    at = 1 + [n.name for n in nodes].index(after)
+    return Chain((*nodes[:at], *moved, *nodes[at:]), chain.name)
+
+
+def noise_freedom(params: Params) -> list[Coordinate]:
+    """What the noise of the base tells of: its own numbers, each free to shrink to its least and to grow as
+    its stage allows, and the matrix from the sensor's primaries but for its diagonal."""
+    found = []
+    for field, least, most in zip(NOISE, (2e-5, 3e-4, 0.2, 0.2), (0.1, 0.2, 8.0, 8.0)):
+        value = float(getattr(params["balanced_noise"], field))
+        step = 0.25 * max(value, 4 * least)
+        move = Move(field, step, min(0.0, least - value), most - value)
+        if field in _USUAL_GAINS:
+            usual, spread = _USUAL_GAINS[field]
+            move = dataclasses.replace(move, usual=usual - value, spread=spread)
+        found.append(Coordinate("balanced_noise", move))
+    for i, j in itertools.permutations(range(3), 2):
+        value = float(np.asarray(params[MIXING].matrix)[i, j])
+        usual = Camera.share * TYPICAL[i, j] - value
+        move = Move(
+            "matrix", 0.05, min(-1.2 - value, 0.0), max(0.4 - value, 0.0), (i, j), usual=usual, spread=0.3
+        )
+        found.append(Coordinate(MIXING, move))
+    return found
+
+
+def primaries(mixing: Any) -> Params:
+    """The scene seen in a sensor's primaries, and the matrix that undoes that.
+
+    What demosaicking does at edges tells of it, and how far the noise of channels is alike.
+
+    Args:
+        mixing: (3, 3) from the sensor's primaries; its diagonal is taken to be such that white stays.
+    """
+    found = np.array(mixing, np.float64)
+    np.fill_diagonal(found, 0)
+    np.fill_diagonal(found, 1 - found.sum(1))
+    before = np.clip(np.linalg.pinv(found), -4, 4)
+    both = {"primaries": before, MIXING: found}
+    return {name: ColorMatrix(matrix=np.asarray(matrix, np.float32)) for name, matrix in both.items()}
+
+
+def _tied(params: Params) -> Params:
+    return params | primaries(params[MIXING].matrix)

@@ -1,0 +1,157 @@
+"""Clean+noisy pairs: what sensor and what demosaicker are nearest to the noisy pictures."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.base.plain_clean import Camera
+from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.parallel import each
+from jaxisp.gap.simulator.model import ROOTED
+from jaxisp.pipeline import Params
+from jaxisp.stages.choice import DEMOSAICKERS
+
+_SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
+_SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
+_CHROMA = 1.3  # px
+_CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
+_CLEARLY_SMOOTH = 0.998  # likewise: cameras that do not smooth chroma lose a tenth by it
+
+
+@dataclasses.dataclass(frozen=True)
+class _View:
+    """The pictures, and through what the model's own are looked at.
+
+    Attributes:
+        pairs: those that are fitted, their light as soft as it is taken to be.
+        chroma: standard deviation [px] by which the model's chroma is smoothed.
+    """
+
+    pairs: Pairs
+    chroma: float = 0.0
+
+    def error(self, camera: Camera, params: Params) -> float:
+        """Mean square, all channels together."""
+        problem = Problem(camera.mean_model(params), self.pairs)
+        residual = problem.residual
+        if self.chroma:
+            smooth = gaussian_filter(problem.current[..., 1:], (0, self.chroma, self.chroma, 0))
+            current = np.concatenate([problem.current[..., :1], smooth], -1)
+            residual = (problem.target - current) * problem.weight
+        return float(problem.mean_squares(residual).mean())
+
+
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """What is nearest through one view.
+
+    Attributes:
+        view: what the pictures were looked at through.
+        camera: the nearest.
+        error: its own.
+        linear: that of the nearest that demosaicks linear values.
+    """
+
+    view: _View
+    camera: Camera
+    error: float
+    linear: float
+
+
+def find_sensor(
+    camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
+) -> Camera:
+    """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft and
+    with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
+    what they do at edges, and the softest would stand in for it. Square roots stand in for smooth chroma, so
+    that is asked of linear values.
+    """
+    pairs = pairs.take(fit_on)
+    plain, smooth = (_through(chroma, camera, params, pairs, any_pattern) for chroma in (0.0, _CHROMA))
+    found = smooth if smooth.linear <= _CLEARLY_SMOOTH * plain.linear else plain
+    choices = [dataclasses.replace(found.camera, share=share) for share in _SHARES]
+    return _refined(_nearest(choices, params, found.view), params, found.view)
+
+
+def _through(chroma: float, camera: Camera, params: Params, pairs: Pairs, any_pattern: bool) -> _Found:
+    """The nearest with chroma so smooth, through a lens that is soft only where that is worth it."""
+    found: list[_Found] = []
+    for sigma in _SOFTNESS:
+        view = _View(_softened(pairs, sigma), chroma)
+        own = _with_pattern(camera, params, view) if any_pattern else camera
+        linear = _with_demosaicking(own, params, view)
+        own = _on_roots(linear, params, view)
+        found.append(_Found(view, own, view.error(own, params), view.error(linear, params)))
+        if len(found) > 1 and found[-1].error > found[-2].error:
+            break  # taken to fall as far as the lens is soft, and to rise from there
+    best = min(found, key=lambda f: f.error)
+    return best if best.error <= _CLEARLY_SOFT * found[0].error else found[0]
+
+
+def _softened(pairs: Pairs, sigma: float) -> Pairs:
+    light = gaussian_filter(np.asarray(pairs.light), (0, sigma, sigma, 0))
+    return dataclasses.replace(pairs, light=jnp.asarray(light, jnp.float32))
+
+
+def _refined(camera: Camera, params: Params, view: _View) -> Camera:
+    """Gains and share of the primaries nearer than the grids that they were chosen from."""
+    for step in (0.16, 0.08):
+        red, blue = camera.gains
+        gains = [(red * (1 + i * step), blue * (1 + j * step)) for i in (0, -1, 1) for j in (0, -1, 1)]
+        if camera.late:
+            choices = [dataclasses.replace(camera, gains=g) for g in gains]
+            camera = _nearest(choices, params, view)
+        choices = [dataclasses.replace(camera, share=camera.share + i * step) for i in (0, -1, 1)]
+        camera = _nearest(choices, params, view)
+    return camera
+
+
+def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
+    """The Bayer pattern whose demosaicking errors the pictures have: RGGB on pictures that are moved."""
+    moves = [(0, 0), (0, 1), (1, 0), (1, 1)]
+    choices = [dataclasses.replace(camera, algorithm=name) for name in ("bilinear", "malvar")]
+    turned = [dataclasses.replace(view, pairs=_rolled(view.pairs, move)) for move in moves]
+    errors = [min(own.error(c, params) for c in choices) for own in turned]
+    down, across = moves[int(np.argmin(errors))]
+    pattern = ("RGGB"[(a + down) % 2 * 2 + (b + across) % 2] for a in (0, 1) for b in (0, 1))
+    return dataclasses.replace(camera, cfa="".join(pattern))
+
+
+def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
+    """The algorithm, on linear values, whether white is balanced before it or after, and by how much."""
+    choices = [
+        dataclasses.replace(camera, algorithm=name, late=late)
+        for name in DEMOSAICKERS
+        for late in (False, True)
+    ]
+    return _with_gains(_nearest(choices, params, view), params, view)
+
+
+def _on_roots(camera: Camera, params: Params, view: _View) -> Camera:
+    """The camera, or what demosaicks square roots by its algorithm where that is clearly nearer."""
+    rooted = [dataclasses.replace(camera, gamma=2.0, late=late) for late in (False, True)]
+    nearest = _with_gains(_nearest(rooted, params, view), params, view)
+    closer = view.error(nearest, params) <= ROOTED * view.error(camera, params)
+    return nearest if closer else camera
+
+
+def _with_gains(camera: Camera, params: Params, view: _View) -> Camera:
+    if not camera.late:
+        return camera
+    grid = [(red, blue) for red in (1.6, 2.0, 2.5) for blue in (1.3, 1.6, 2.0)]
+    return _nearest([dataclasses.replace(camera, gains=g) for g in grid], params, view)
+
+
+def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
+    """Moved so that another pattern's first photosite is where the model has a red one."""
+    turn = [np.roll(np.asarray(a), move, (1, 2)) for a in (pairs.light, pairs.pictures, pairs.mask)]
+    return Pairs(pairs.names, jnp.asarray(turn[0]), turn[1], turn[2])
+
+
+def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
+    """The first of those whose error is the least but for a hair."""
+    errors = np.array(each(lambda choice: view.error(choice, params), choices))
+    return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]

@@ -1,0 +1,1 @@
+"""What denoisers gain by the effects found, and what flexible models reach."""

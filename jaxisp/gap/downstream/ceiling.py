@@ -1,0 +1,135 @@
+"""How far models that need no cause lower the gap: any effects, all of them at once, a network on the rest.
+
+Of statistics, which no network predicts, it is what the fitted pairs differ in. What the named effects close
+is little or much only beside that. None is a bound: a network learns what few pairs teach, and all effects
+together may fit those pairs alone. The lowest gap of any counts.
+"""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import nnx
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.case import Case, Gap, Split
+from jaxisp.gap.downstream.networks import programs
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.objective.statistics import StatisticsProblem
+from jaxisp.gap.search.refit import searched
+from jaxisp.models.layers import conv
+from jaxisp.train.step import split_model
+
+_WIDTH, _DEPTH = 24, 4
+_STEPS, _BATCH, _PATCH = 300, 8, 48
+_AROUND = 8.0  # px: the surroundings that local tone follows
+
+
+def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least: float) -> dict[str, Any]:
+    """The lowest gap that a flexible model reached on the held-out pairs, and what the causes are of that.
+
+    Args:
+        case: its problem stands where the causes have taken it.
+        gap: before any cause.
+        after: with the causes.
+        refits: with effects that were fitted, believed or not.
+        least: by how much, as a share of the unit, the gap of a camera that lacks nothing may be lowered.
+
+    Returns:
+        {"best": that gap, "how": which model reached it, "explained": the share of `before - best` that the
+        causes close; None where that is no more than nulls have}.
+    """
+    problem, split = case.problem, case.split
+    found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
+    if isinstance(problem, Problem):  # all effects fit the statistics of a few scenes, and no others
+        found["all effects at once"] = _together(problem, case.offered, split)
+        found["a small network on what is left"] = _network_leaves(problem, split)
+    elif isinstance(problem, StatisticsProblem):
+        found["what the fitted pairs still differ in, taken off"] = problem.left_by_shift(split)
+    how = min(found, key=lambda name: found[name])
+    could = gap.before - found[how]
+    explained = (gap.before - after) / could if could > least * gap.unit else None
+    return {"best": found[how], "how": how, "explained": explained}
+
+
+def _together(problem: Any, names: Sequence[str], split: Split) -> float:
+    """The held-out gap with every effect fitted together with the base; but for what is searched for."""
+    gridded = searched(problem, names)
+    which = [*problem.model.base_indices, *(i for i in problem.model.indices(names) if i not in gridded)]
+    part = problem.take(split.fit)
+    fit(part, which, range(len(split.fit)), steps=1)
+    return float(np.nanmean(problem.take(split.held_out).units(part.z)))
+
+
+class _Network(nnx.Module):
+    """Four convolutions, which begin at nothing."""
+
+    def __init__(self, channels: int, rngs: nnx.Rngs) -> None:
+        widths = [channels, *[_WIDTH] * (_DEPTH - 1)]
+        self.hidden = nnx.List([conv(a, b, rngs=rngs, dtype=None) for a, b in itertools.pairwise(widths)])
+        self.last = conv(_WIDTH, 3, init=nnx.initializers.zeros_init(), rngs=rngs, dtype=None)
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        for layer in self.hidden:
+            x = nnx.relu(layer(x))
+        return self.last(x)
+
+
+def _network_leaves(problem: Problem, split: Split) -> float:
+    """The held-out gap where a network, taught by the fitted pairs, predicts what is left of the residual
+    from the simulator's picture, the mosaic, the place in frame and pattern, and the surroundings."""
+    seen = _seen(problem)
+    residual = problem.target - problem.current
+    fitted, held = list(split.fit), list(split.held_out)
+    scale = float(np.sqrt(np.mean(problem.residual[fitted] ** 2))) + 1e-6
+    learn = seen[fitted], residual[fitted] / scale, problem.weight[fitted] ** 2
+    apply, params = _learnt(*learn)
+    predicted = np.concatenate([np.asarray(apply(params, seen[[i]])) for i in held])
+    left = ((residual[held] - scale * predicted) * problem.weight[held]) ** 2
+    return float(np.nanmean(problem.take(held).tiled(left.sum(-1))))
+
+
+def _seen(problem: Problem) -> np.ndarray:
+    """(N, h, w, C) what the network is told of each pixel, each about as large as 1."""
+    n, h, w, _ = problem.shape
+    light = np.asarray(problem.pairs.light)[problem.inner]
+    luma = problem.current[..., 0] / 255
+    y, x = np.mgrid[-1 : 1 : h * 1j, -1 : 1 : w * 1j]
+    rows, columns = np.mgrid[:h, :w] % 2
+    places = np.broadcast_to(np.stack([y, x, y**2 + x**2, rows, columns], -1), (n, h, w, 5))
+    around = gaussian_filter(luma, (0, _AROUND, _AROUND))[..., None]
+    own = light.reshape(n, h, w, -1)
+    return np.concatenate([problem.current / 255, own, around, places], -1).astype(np.float32)
+
+
+def _learnt(seen: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[Any, Any]:
+    """The network as a function of its parameters, and these."""
+    start, update, apply, optimizer = _program(seen.shape[-1])
+    params = jax.tree.map(jnp.copy, start)
+    state, rng = optimizer.init(params), np.random.default_rng(0)
+    n, h, w, _ = seen.shape
+    side = min(_PATCH, h, w)
+    for _ in range(_STEPS):
+        places = [[int(rng.integers(m)) for m in (n, h - side + 1, w - side + 1)] for _ in range(_BATCH)]
+        cut = [(i, slice(y, y + side), slice(x, x + side)) for i, y, x in places]
+        batch = [np.stack([a[c] for c in cut]) for a in (seen, wanted, weight)]
+        params, state = update(params, state, *batch)
+    return apply, params
+
+
+@functools.cache
+def _program(channels: int) -> tuple[Any, Any, Any, optax.GradientTransformation]:
+    """First parameters, the update and the network, jitted, and the optimizer."""
+    graph, start, _ = split_model(_Network(channels, nnx.Rngs(0)), train=True)
+    optimizer = optax.adam(optax.cosine_decay_schedule(3e-3, _STEPS))
+    return start, *programs(graph, optimizer, _loss), optimizer
+
+
+def _loss(made: jax.Array, wanted: jax.Array, weight: jax.Array) -> jax.Array:
+    return (weight * (made - wanted) ** 2).mean()

@@ -1,0 +1,212 @@
+"""Whether an effect that was found helps a denoiser.
+
+Small ones are trained on what the simulator makes without and with it, and put before the held-out pairs.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import nnx
+
+from jaxisp.gap.base.raw_jpeg import TILES
+from jaxisp.gap.case import Case, Downstream
+from jaxisp.gap.downstream.networks import programs
+from jaxisp.gap.objective.pixels import BORDER
+from jaxisp.gap.pairs.scenes import scene_name
+from jaxisp.gap.simulator.model import Model
+from jaxisp.io.files import atomic_write
+from jaxisp.metrics import match_moments, psnr, ssim
+from jaxisp.models import count_parameters, make_model
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.optimizer import make_optimizer
+from jaxisp.train.step import split_model
+
+_DRAWS = 6  # of the noise of each scene
+_BATCH, _PATCH = 8, 48
+_NETWORK = {"depth": 5, "features": 32}
+_VERSION = 1  # of what a kept figure means
+METRIC = (
+    "PSNR [dB] and SSIM of the denoised held-out pairs in encoded sRGB, against the clean pictures in their "
+    "tones, these given the mean and standard deviation of what they are compared with, per channel"
+)
+Tick = Callable[[int, int, str], Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Task:
+    """What a denoiser is trained on and measured on; all encoded sRGB.
+
+    Attributes:
+        noisy: (K, N, H, W, 3) K draws of N scenes.
+        clean: (N, H, W, 3).
+        held_noisy, held_clean: (M, H, W, 3) of the real pairs held out.
+    """
+
+    noisy: np.ndarray
+    clean: np.ndarray
+    held_noisy: np.ndarray
+    held_clean: np.ndarray
+
+    def digest(self, steps: int, seed: int) -> str:
+        """What the figures depend on."""
+        found = hashlib.sha1(repr((_VERSION, _NETWORK, _BATCH, _PATCH, steps, seed)).encode())
+        for a in (self.noisy, self.clean, self.held_noisy, self.held_clean):
+            found.update(np.ascontiguousarray(a, np.float32).tobytes())
+        return found.hexdigest()
+
+
+def measure_downstream(
+    case: Case, models: Mapping[str, tuple[Model, np.ndarray]], how: Downstream, tick: Tick
+) -> dict[str, Any]:
+    """Train and measure denoisers, one arm a simulator and one more on the real pairs that were fitted.
+
+    All arms see the same clean scenes, those of the fitted pairs, and their patches at the same places in the
+    same order; a simulator's have several draws of noise each. The real arm, one draw, is what real pairs in
+    this number are worth.
+
+    Args:
+        case: clean+noisy pairs, with its `reference`.
+        models: the simulators by the names of their arms, each with the point where it stands.
+        how: the training.
+        tick: called with (done, total, text).
+
+    Returns:
+        the report's "downstream": {"metric", "model", "parameters", "steps", "seeds", "scenes", "input",
+        "arms": {ARM: {"psnr", "ssim" (one a seed), "psnr_mean", "psnr_spread", "ssim_mean", "ssim_spread"}},
+        "gain": of each arm over the first, seed by seed}. A spread is a standard deviation over seeds.
+    """
+    if not _apart(case):
+        return {"skipped": "all pairs show one scene: what is held out would be what was trained on"}
+    tasks = {name: _simulated(case, *found) for name, found in models.items()}
+    tasks["real"] = _task(case, case.problem.pairs.pictures[None])
+    total = len(tasks) * len(how.seeds)
+    arms: dict[str, Any] = {}
+    kept = _kept(how.keep)
+    for name, task in tasks.items():
+        figures = []
+        for k, seed in enumerate(how.seeds):
+            tick(len(arms) * len(how.seeds) + k, total, f"denoiser {name}, seed {seed}")
+            digest = task.digest(how.steps, seed)
+            if digest not in kept:
+                kept[digest] = _measured(task, how.steps, seed)
+                _keep(how.keep, kept)
+            figures.append(kept[digest])
+        arms[name] = _row(figures)
+    first = next(iter(arms))
+    inputs = [_compared(n, c) for n, c in zip(task.held_noisy, task.held_clean)]
+    return {
+        "metric": METRIC,
+        "model": "fast, " + ", ".join(f"{k} {v}" for k, v in _NETWORK.items()),
+        "parameters": count_parameters(_network(0)),
+        "steps": how.steps,
+        "seeds": list(how.seeds),
+        "scenes": {"trained": len(task.clean), "held_out": len(task.held_clean)},
+        "input": dict(zip(("psnr", "ssim"), np.mean(inputs, 0).tolist())),
+        "arms": arms,
+        "gain": {name: _gain(arms[first], row) for name, row in arms.items() if name != first},
+    }
+
+
+def _apart(case: Case) -> bool:
+    """Whether fitted and held-out pairs show different scenes."""
+    scenes = [scene_name(name).split(TILES)[0] for name in case.problem.pairs.names]
+    return not {scenes[i] for i in case.split.fit} & {scenes[i] for i in case.split.held_out}
+
+
+def _row(figures: Sequence[Sequence[float]]) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for name, values in zip(("psnr", "ssim"), np.array(figures).T):
+        row[name] = values.tolist()
+        row[f"{name}_mean"] = float(values.mean())
+        row[f"{name}_spread"] = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    return row
+
+
+def _gain(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+    return _row(np.stack([np.array(after[k]) - np.array(before[k]) for k in ("psnr", "ssim")], -1).tolist())
+
+
+def _simulated(case: Case, model: Model, z: np.ndarray) -> _Task:
+    problem = case.problem
+    draws = [model.render(z, problem.pairs.light, problem.keys(100 + k)) for k in range(_DRAWS)]
+    return _task(case, np.stack(draws))
+
+
+def _task(case: Case, noisy: np.ndarray) -> _Task:
+    fitted, held = list(case.split.fit), list(case.split.held_out)
+    assert case.reference is not None, "clean+noisy pairs have one"
+    clean = case.reference
+    return _Task(noisy[:, fitted], clean[fitted], case.problem.pairs.pictures[held], clean[held])
+
+
+def _kept(path: Path | None) -> dict[str, list[float]]:
+    """The figures of an earlier call; none where there is no such file, or not a whole one."""
+    try:
+        found = json.loads(path.read_text()) if path else {}
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _keep(path: Path | None, figures: Mapping[str, Any]) -> None:
+    if path:
+        with atomic_write(path) as file:
+            file.write(json.dumps(figures).encode())
+
+
+def _network(seed: int) -> nnx.Module:
+    return make_model("fast", seed=seed, **_NETWORK)
+
+
+@functools.cache
+def _program(steps: int) -> tuple[Any, Any, optax.GradientTransformation]:
+    """The update and the network, jitted, and the optimizer: one of each, whatever the arm and the seed."""
+    config = TrainConfig(clean=(), recipe="", steps=steps, lr=2e-3, warmup=min(50, steps), clip_norm=1.0)
+    optimizer = make_optimizer(config, steps)
+    graph, _, _ = split_model(_network(0), train=True)
+    return *programs(graph, optimizer, lambda made, clean: jnp.abs(made - clean).mean()), optimizer
+
+
+def _measured(task: _Task, steps: int, seed: int) -> list[float]:
+    """PSNR and SSIM of a denoiser on the held-out pairs, trained from this seed."""
+    update, apply, optimizer = _program(steps)
+    params = jax.tree.map(jnp.copy, split_model(_network(seed), train=True)[1])
+    state, rng = optimizer.init(params), np.random.default_rng(seed)
+    for _ in range(steps):
+        params, state = update(params, state, *_patches(task, rng))
+    made = [np.clip(np.asarray(apply(params, n[None])[0]), 0, 1) for n in task.held_noisy]
+    found = np.mean([_compared(m, c) for m, c in zip(made, task.held_clean)], 0)
+    return [float(v) for v in found]
+
+
+def _patches(task: _Task, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(8, 48, 48, 3) each; where they lie is the same for all arms."""
+    count, (h, w) = len(task.clean), task.clean.shape[1:3]
+    noisy, clean = [], []
+    for _ in range(_BATCH):
+        i, y, x, draw = (int(rng.integers(n)) for n in (count, h - _PATCH + 1, w - _PATCH + 1, _DRAWS))
+        place = (i, slice(y, y + _PATCH), slice(x, x + _PATCH))
+        noisy.append(task.noisy[draw % len(task.noisy)][place])
+        clean.append(task.clean[place])
+    return np.stack(noisy), np.stack(clean)
+
+
+def _compared(picture: np.ndarray, clean: np.ndarray) -> tuple[float, float]:
+    inner = (slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+    values = _figures(jnp.asarray(picture[inner]), jnp.asarray(clean[inner]))
+    return float(values[0]), float(values[1])
+
+
+@jax.jit
+def _figures(picture: jax.Array, clean: jax.Array) -> tuple[jax.Array, jax.Array]:
+    wanted = match_moments(clean, picture)
+    return psnr(picture, wanted), ssim(picture, wanted)

@@ -1,0 +1,1 @@
+"""Statistics of a picture's residual, and its spectra."""

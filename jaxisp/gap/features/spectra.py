@@ -1,0 +1,116 @@
+"""Power spectrum and autocorrelation of what the simulator lacks, for the page of a diagnosis.
+
+Of RAW+JPEG pairs the residual is looked at. Two draws of noise never agree pixel by pixel, so of clean+noisy
+pairs the noise of the real pictures stands beside that of simulated ones.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.gap.case import Case
+from jaxisp.gap.features.residual_statistics import frames_of, noise_of
+from jaxisp.gap.pairs.scenes import scene_name
+from jaxisp.gap.simulator.effects import RAW_JPEG
+
+LAGS = 4  # pixels that neighbours are apart, at most
+_BINS = 24
+
+
+class Spread(NamedTuple):
+    """How a residual is spread over sizes, and how neighbours go together.
+
+    Attributes:
+        frequency: (F,) cycles per pixel, rising, 0 to 0.5.
+        energy: (F,) mean power of all directions, squared 8-bit steps; that of white noise is its variance.
+        correlation: (9, 9) of pixels this many rows and columns apart, -4 to 4; 1 in the middle.
+    """
+
+    frequency: np.ndarray
+    energy: np.ndarray
+    correlation: np.ndarray
+
+
+def spreads(residual: np.ndarray, weight: np.ndarray) -> dict[str, Spread]:
+    """Of luma, and of Cb and Cr together.
+
+    Args:
+        residual: (N, h, w, 3) Y'CbCr in 8-bit steps.
+        weight: (N, h, w) root of what a pixel counts; 0 where it is masked.
+    """
+    both = np.concatenate([residual[..., 1], residual[..., 2]])
+    return {
+        "luma": spread(residual[..., 0], weight),
+        "chroma": spread(both, np.concatenate([weight, weight])),
+    }
+
+
+def spread(residual: np.ndarray, weight: np.ndarray) -> Spread:
+    """Of (N, h, w) planes in 8-bit steps, each less its mean, with (N, h, w) roots of what pixels count."""
+    counted = weight.astype(np.float64)
+    mass = np.maximum((counted**2).sum((1, 2), keepdims=True), 1e-9)
+    known = np.where(counted > 0, residual, 0.0)
+    mean = (known * counted**2).sum((1, 2), keepdims=True) / mass
+    planes = (known - mean) * counted
+    return Spread(*_spectrum(planes, counted), _correlation(planes, counted))
+
+
+def _spectrum(planes: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) frequencies and (F,) powers, of planes that are weighed already."""
+    height, width = planes.shape[1:]
+    # without a taper the jump from one border to the opposite one spreads over all frequencies
+    taper = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
+    power = np.zeros((height, width // 2 + 1))
+    for plane in planes:
+        power += np.abs(np.fft.rfft2(plane * taper)) ** 2
+    power /= max(float(((counted * taper) ** 2).sum()), 1e-9)
+    radius = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
+    which = np.ceil(2 * _BINS * radius).astype(int).ravel()  # 0 is the mean, which was taken off
+    sums = [np.bincount(which, v.ravel(), _BINS + 1)[1 : _BINS + 1] for v in (power, np.ones_like(power))]
+    filled = sums[1] > 0
+    return ((np.arange(_BINS) + 0.5) / (2 * _BINS))[filled], sums[0][filled] / sums[1][filled]
+
+
+def _correlation(planes: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """(9, 9) over all planes; 0 where there is nothing to correlate."""
+    found = np.zeros((2 * LAGS + 1, 2 * LAGS + 1))
+    variance = _product(planes, 0, 0) / max(_product(counted, 0, 0), 1e-9)
+    for down in range(LAGS + 1):
+        for right in range(-LAGS, LAGS + 1):
+            value = _product(planes, down, right) / max(_product(counted, down, right), 1e-9)
+            value /= max(variance, 1e-12)
+            found[LAGS + down, LAGS + right] = found[LAGS - down, LAGS - right] = value
+    return found
+
+
+def _product(planes: np.ndarray, down: int, right: int) -> float:
+    """The sum over pixels and those so many rows and columns away."""
+    height, width = planes.shape[1:]
+    first = planes[:, : height - down, max(-right, 0) : width - max(right, 0)]
+    other = planes[:, down:, max(right, 0) : width + min(right, 0)]
+    return float(np.einsum("nhw,nhw->", first, other))
+
+
+def held_out_spreads(case: Case, picture: np.ndarray) -> dict[str, dict[str, Spread]]:
+    """By whose it is, over the held-out pairs: "simulator" where the problem stands, and beside it "floor",
+    what the file's own compression leaves (where that is known), or "real", the noise of the real pictures.
+
+    Args:
+        case: what is diagnosed.
+        picture: (N, h, w, 3) what the problem simulates, Y'CbCr in 8-bit steps, its border cut off.
+    """
+    problem, held = case.problem, list(case.split.held_out)
+    weight = problem.weight[held][..., 0]
+    if case.kind == RAW_JPEG:
+        left = {"simulator": problem.target - picture, "floor": case.stored}
+        return {whose: spreads(own[held], weight) for whose, own in left.items() if own is not None}
+    frames = frames_of([scene_name(problem.pairs.names[i]) for i in held])
+    counted = jnp.asarray(weight > 0, jnp.float32)
+    looked_at = {"simulator": (picture, problem.again), "real": (problem.target, problem.reference)}
+    found = {}
+    for whose, (pictures, against) in looked_at.items():
+        own, shown = against.take(held), jnp.asarray(pictures[held])
+        noise = noise_of(shown, own.picture, counted, own.maps, frames)
+        found[whose] = spreads(np.asarray(noise), weight)
+    return found

@@ -1,0 +1,1 @@
+"""What the search minimises: pixel errors, or differences of statistics."""

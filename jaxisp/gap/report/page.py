@@ -1,0 +1,404 @@
+"""report.json and report.html of a diagnosis: one page without scripts or requests that reads in a minute."""
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from jaxisp.gap.axes.null_bank import CLEAR, bank
+from jaxisp.gap.report.advice import CONSIDERABLE
+from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic_rows
+from jaxisp.gap.report.downstream import downstream_part
+from jaxisp.gap.report.parameters import parameters_of
+from jaxisp.gap.report.plots import curve, data_uri, difference_picture, gain_for
+from jaxisp.gap.report.spectra import spectra_part
+from jaxisp.gap.report.words import (
+    any_of,
+    begun,
+    chance,
+    counted,
+    finite,
+    listed,
+    number,
+    percent,
+    span,
+    words,
+)
+from jaxisp.gap.simulator.effects import EFFECTS
+from jaxisp.io.files import atomic_write, output_folder
+
+_ENVIRONMENT = jinja2.Environment(
+    loader=jinja2.PackageLoader("jaxisp", "gap/report"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+)
+_PLOTS, _BARS = 6, 8
+_LEAST_SHARE = 0.005  # of an axis that is listed
+_MOVED = 0.005  # of a stage's size: less is not worth a word
+_MORE = 0.02  # of the gap: what closes less more than another does not get lower
+_WHEN = ("before", "after")
+_FEWEST = 4  # pairs; see docs/how-to/diagnose.md
+_FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
+_SITES = {
+    "scene": "the scene's light",
+    "mosaic": "the mosaic as recorded",
+    "demosaic": "demosaicking, which it replaces",
+    "camera": "demosaicked camera RGB",
+    "linear": "linear sRGB, after the colour matrix",
+    "encoded": "the encoded picture",
+    "output": "what the file holds",
+}
+
+
+def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder: str | Path) -> Path:
+    """Write `report.json` and `report.html` into a folder.
+
+    Args:
+        report: what report.json holds.
+        pictures: of one held-out pair: `name`; `target`, `before` and `after` (H, W, 3) in [0, 1];
+            `residual_before` and `residual_after` (h, w, 3) in Y'CbCr, 8-bit steps. Of all held-out pairs:
+            `spread_before`, `spread_after` and `spread_real` or `spread_floor`, see
+            `jaxisp.gap.features.spectra`. Any but the first may be absent or None.
+        folder: made where it does not exist.
+
+    Returns:
+        the path of `report.html`.
+
+    Raises:
+        InputError: nothing can be written there.
+    """
+    folder = output_folder(folder)
+    text = json.dumps(plain(report), indent=1, allow_nan=False)
+    with atomic_write(folder / "report.json") as file:
+        file.write((text + "\n").encode())
+    page = folder / "report.html"
+    with atomic_write(page) as file:
+        file.write(html(report, pictures).encode())
+    return page
+
+
+def plain(value: Any) -> Any:
+    """Numbers and lists that JSON knows; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
+    """The page as text."""
+    report = plain(report)
+    bars = _ranking(report)
+    where = report["where"]
+    shown = _clear(where)[:_PLOTS]
+    others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
+    statistics = report["kind"] == "clean+noisy"
+    return _ENVIRONMENT.get_template("report.html").render(
+        kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
+        verdict=sentence(report),
+        summary=_summary(report),
+        warning=begun(few_pairs(report)),
+        metric=begun(report["gap"]["metric"]),
+        gap=_gap(report["gap"], bool(report["causes"])),
+        reducible=reached(report["gap"], bool(report["causes"])),
+        pictures=[p for p in [_pictures(pictures)] if p],
+        statistics=statistics,
+        where=[_axis(w, statistics) for w in shown],
+        nulls=len(bank()[report["kind"]]["largest"]) if any(w.get("usual") for w in shown) else 0,
+        rest=", ".join(f"{words(w['axis'])} {percent(w['share'])}" for w in others),
+        spectra=spectra_part(report["kind"], pictures),
+        ranking=bars[:_BARS],
+        more=bars[_BARS:],
+        causes=[_cause(c) for c in report["causes"]],
+        left=_left(report),
+        next=next_measurements(report),
+        downstream=downstream_part(report.get("downstream")),
+        data=_data(report),
+    )
+
+
+def sentence(report: Mapping[str, Any]) -> str:
+    """The verdict."""
+    causes = report["causes"]
+    if report["verdict"] == "none":
+        return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
+    if report["verdict"] == "unknown" or not causes:
+        return f"There is a gap, and no effect of the library explains it.{_nearest(report)}"
+    left = unexplained(report)
+    rest = f". {left}." if left else "."
+    if len(causes) == 1:
+        c = causes[0]
+        share = f"{percent(c['closed'])} {span(c['ci'])}"
+        # more than all: what is left is less than chance and harmless differences come to
+        closed = f"all of the gap ({share})" if c["closed"] > 1 else f"{share} of the gap"
+        return f"The simulator lacks {_group(c)}: it closes {closed} on held-out pairs{rest}"
+    each = "; ".join(f"{_group(c)} ({percent(c['closed'])} {span(c['ci'])})" for c in causes)
+    return (
+        f"The simulator lacks {len(causes)} effects, which close "
+        f"{percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}{rest}"
+    )
+
+
+def _nearest(report: Mapping[str, Any]) -> str:
+    """What was refused as the cause, since too much shows where it did before."""
+    near = report["unexplained"].get("nearest")
+    if near is None:
+        return ""
+    others = [r for r in report["ranking"] if r.get("ci") and r["effect"] not in near["effects"]]
+    more = [r for r in others if r["closed"] > near["closed"] + _MORE]
+    alone = f"; {words(more[0]['effect'])} alone closes {percent(more[0]['closed'])}" if more else ""
+    left = f" and leave {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
+    return (
+        f" Refused: {listed([words(n) for n in near['effects']])}, which would close "
+        f"{percent(near['closed'])}{left}{alone}."
+    )
+
+
+def unexplained(report: Mapping[str, Any]) -> str:
+    """How much of the gap the named effects leave; "" where that is little, or none is named."""
+    share = report["unexplained"]["share"]
+    considerable = report["causes"] and finite(share) and share >= CONSIDERABLE
+    return f"{percent(share)} of the gap stays unexplained" if considerable else ""
+
+
+def few_pairs(report: Mapping[str, Any]) -> str:
+    """A warning where there are fewer pairs than a diagnosis needs, or fewer pixels, else ""."""
+    names = [*report["pairs"]["fit"], *report["pairs"]["held_out"]]
+    count = len({re.sub(r" \((even|odd) tiles\)$", "", name) for name in names})
+    if count < _FEWEST:
+        return (
+            f"only {counted(count, 'pair')}: intervals and the choice are not reliable; give at least four."
+        )
+    statistics = report["kind"] == "clean+noisy" and report["verdict"] == "unknown"
+    if statistics and report["pairs"]["pixels"] < _FEW_PIXELS:
+        return (
+            f"only {report['pairs']['pixels'] / 1e6:.2f} million pixels in all: noise tells little there; "
+            "give eight pairs of 256x256 or more."
+        )
+    return ""
+
+
+def _summary(report: Mapping[str, Any]) -> str:
+    gap = report["gap"]
+    change = (
+        f"from {number(gap['before'])} to {number(gap['after'])}"
+        if report["causes"]
+        else number(gap["before"])
+    )
+    parts = [f"The gap is {change} where the floor is {number(gap['floor'])}."]
+    if report["causes"]:
+        parts = [f"Adding it takes the gap {change}; the floor is {number(gap['floor'])}."]
+        if len(report["causes"]) > 1:
+            parts[0] = parts[0].replace("Adding it", "Adding them")
+    if report["where"]:
+        clear = _clear(report["where"])
+        parts.append(
+            f"It shows most by {words(clear[0]['axis'])}."
+            if clear
+            else "On no axis is it more than what cameras that lack nothing have."
+        )
+    return " ".join(parts)
+
+
+def _clear(where: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The axes that have more than chance, and than cameras that lack nothing."""
+    return [w for w in where if finite(w["p_value"]) and w["p_value"] <= CLEAR]
+
+
+def _group(cause: Mapping[str, Any]) -> str:
+    return any_of([cause["effect"], *cause["alternatives"]])
+
+
+def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
+    values = [gap["before"], gap["after"], gap["floor"], *gap["ci"]]
+    top = max((v for v in values if finite(v)), default=0) * 1.02 or 1
+    rows = [("before", gap["before"], None), ("after", gap["after"], gap["ci"])]
+    if not changed:
+        rows = [("gap", gap["before"], gap["ci"])]
+    if _lower(gap):
+        rows.append(("lowest of ours", gap["reducible"]["best"], None))
+    rows.append(("floor", gap["floor"], None))
+    return [
+        _bar(name, value, top, number(value) + (f" [{number(ci[0])}, {number(ci[1])}]" if ci else ""), ci)
+        | {"kind": name}
+        for name, value, ci in rows
+    ]
+
+
+def reached(gap: Mapping[str, Any], named: bool) -> str:
+    """How other models compare with the named effects, or without these; "" where there is none."""
+    found = gap.get("reducible") or {}
+    if not finite(found.get("best")):
+        return ""
+    if not _lower(gap):
+        return "No flexible model of ours gets lower."
+    if not named or not finite(found.get("explained")):
+        return f"The lowest that any model of ours reaches is {number(found['best'])} ({found['how']})."
+    share, how = percent(found["explained"]), found["how"]
+    return f"Of the most that any model of ours reduces (lowest: {how}), the named effects are {share}."
+
+
+def _lower(gap: Mapping[str, Any]) -> bool:
+    """Whether a flexible model gets lower than the named effects."""
+    best = (gap.get("reducible") or {}).get("best")
+    return finite(best) and finite(gap["after"]) and best < gap["after"]
+
+
+def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    rows = report["ranking"]
+    refitted = [r for r in rows if r.get("ci")]
+    ends = [v for r in refitted for v in (r["ci"][1], r.get("predicted")) if finite(v)]
+    top = max([1.0, *ends])
+    bars = []
+    for row in rows:
+        ci = row.get("ci")
+        bar = _bar(words(row["effect"]), row["closed"], top, _closes(row), ci)
+        bar |= {"kind": row["status"], "status": _status(row)}
+        if ci and finite(row.get("predicted")):
+            told = percent(row["predicted"]) if row["predicted"] > 0 else "nothing"
+            bar |= {"mark": _place(row["predicted"], top), "predicted": told}
+        bars.append(bar)
+    return bars
+
+
+def _closes(row: Mapping[str, Any]) -> str:
+    """The share that a candidate closes, in words where the gap grows by it."""
+    ci = row.get("ci")
+    if finite(row["closed"]) and row["closed"] < 0:
+        return "the gap grows" if ci else "nothing"
+    return percent(row["closed"]) + (f" {span(ci)}" if ci else "")
+
+
+def _status(row: Mapping[str, Any]) -> str:
+    """What came of a candidate, with names in words; "" where it was only not good enough."""
+    if row["status"] == "accepted":
+        return "found"
+    said = row.get("reason", "")
+    return " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
+
+
+def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
+    span = None
+    if ci and all(map(finite, ci)):
+        first, last = (_place(v, top) for v in ci)
+        span = (first, max(round(last - first, 2), 0.3))
+    return {"name": name, "value": text, "width": _place(value, top), "range": span}
+
+
+def _place(x: float, top: float) -> float:
+    """Per cent of a track that ends at `top`."""
+    return round(100 * min(max(x / top, 0), 1), 2) if finite(x) else 0
+
+
+def _axis(w: Mapping[str, Any], statistics: bool) -> dict[str, Any]:
+    shown: dict[str, Any] = {
+        "name": words(w["axis"]),
+        "share": percent(w["share"]),
+        "size": f"{number(w['size'] / w['usual'])} times the usual, " if w.get("usual") else "",
+        "p": chance(w["p_value"]),
+    }
+    if w.get("ci") and all(map(finite, w["ci"])):
+        shown["share"] += f" {span(w['ci'])}"
+        shown["bar"] = _bar("", w["share"], 1.0, "", w["ci"])
+    if statistics:
+        rows, note = statistic_rows(w)
+        return shown | {"meaning": STATISTICS.get(w["axis"], ""), "rows": rows, "note": note}
+    plot = Markup(curve(w["bins"], w["profile"], f"residual by {shown['name']}"))
+    up = ", ".join(filter(None, (w.get("channel"), w.get("unit"))))
+    return shown | {"meaning": PIXELS.get(w["axis"], ""), "plot": plot, "note": up and f"up: {up}"}
+
+
+def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
+    facts = [
+        ("closes", [f"{percent(c['closed'])} {span(c['ci'])} of the gap, p {chance(c['p_value'])}"]),
+        ("gap", [f"{number(c['gap_before'])} to {number(c['gap_after'])}"]),
+        ("acts on", [_SITES.get(c["site"], c["site"])]),
+        ("parameters", parameters_of(c)),
+        ("looks the same", [", ".join(map(words, c["alternatives"]))]),
+    ]
+    return {"name": begun(words(c["effect"])), "facts": [(t, v) for t, v in facts if any(v)]}
+
+
+def _left(report: Mapping[str, Any]) -> str:
+    left = report["unexplained"]
+    if report["verdict"] == "none":
+        return "Nothing beyond what cameras that lack nothing leave."
+    shows = f" It shows by {listed([words(a) for a in left['axes']])}." if left["axes"] else ""
+    return f"{percent(left['share'])} of the gap is left.{shows}"
+
+
+def next_measurements(report: Mapping[str, Any]) -> list[str]:
+    """What to measure, a sentence each."""
+    found = [
+        f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
+        f"{c['next_measurement']}."
+        for c in report["causes"]
+        if c["next_measurement"]
+    ]
+    left = report["unexplained"].get("next_measurement")
+    return [*found, f"To see alone what is left: {left}."] if left else found
+
+
+def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    base, pairs = report["base"], report["pairs"]
+    shares = ((words(n), "" if s is None else f" {percent(s)}") for n, s in base["absorbed"].items())
+    absorbed = ", ".join(name + share for name, share in shares)
+    aside = [f["reason"] for f in pairs.get("failed", ())]
+    aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
+    laid = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
+    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in laid)
+    rows = [
+        ("simulator", base.get("given", "")),
+        ("base", ", ".join(map(words, base["stages"]))),
+        ("fitted in it", ", ".join(map(words, base["fitted"]))),
+        ("taken up by it", absorbed or "nothing of note"),
+        ("moved by what was found", _moved(base)),
+        ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
+        ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
+        ("laid on each other", ", ".join(placed)),
+        (
+            "not surely of one scene",
+            ", ".join(p["name"] for p in pairs.get("aligned", ()) if not p["certain"]),
+        ),
+        ("left aside", "; ".join(aside)),
+        ("time", f"{report['seconds']:.0f} s"),
+    ]
+    return [(term, text) for term, text in rows if text]
+
+
+def _moved(base: Mapping[str, Any]) -> str:
+    """By how much, of its own size, each of the base's stages is another where the causes are added."""
+
+    def flat(fields: Mapping[str, Any]) -> np.ndarray:
+        return np.array([v for values in fields.values() for v in np.ravel(values)], float)
+
+    moved = []
+    for stage, fields in base.get("fitted_after", {}).items():
+        was, is_now = flat(base["fitted"].get(stage, {})), flat(fields)
+        share = (
+            np.linalg.norm(is_now - was) / (np.linalg.norm(was) + 1e-9) if was.size == is_now.size else 0.0
+        )
+        if share >= _MOVED:
+            moved.append((share, f"{words(stage)} {percent(share)}"))
+    return ", ".join(text for _, text in sorted(moved, reverse=True))
+
+
+def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
+    shown = [(1, "the camera's", pictures.get("target")), (2, "simulator, before", pictures.get("before"))]
+    shown.append((3, "simulator, after", pictures.get("after")))
+    differences = {w: pictures[f"residual_{w}"] for w in _WHEN if pictures.get(f"residual_{w}") is not None}
+    gain = gain_for(list(differences.values()))
+    for when, residual in differences.items():
+        caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
+        shown.append(
+            (2 + _WHEN.index(when), caption, difference_picture(residual, gain))
+        )  # under its picture
+    figures = [{"column": c, "caption": text, "uri": data_uri(a)} for c, text, a in shown if a is not None]
+    return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None

@@ -1,0 +1,142 @@
+"""The rows of report.json: the base, a cause, the ranking."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from math import erfc, sqrt
+from typing import Any
+
+import numpy as np
+
+from jaxisp.gap.report import advice
+from jaxisp.gap.search.refit import SMALLEST, Trial
+from jaxisp.gap.search.screening import LEADING, told_by_pixels
+from jaxisp.gap.search.verdict import Found
+from jaxisp.gap.simulator.effects import EFFECTS
+from jaxisp.gap.simulator.model import Model
+from jaxisp.pipeline import Gate, Params
+
+
+def base_row(
+    model: Model,
+    z: np.ndarray,
+    absorbed: Mapping[str, float | None],
+    given: str | None = None,
+    open_nodes: Iterable[str] = (),
+    after: Params | None = None,
+) -> dict[str, Any]:
+    """The base at a point: its stages, its fitted numbers, what it absorbed, and what it is where it was
+    given; with these numbers `after` the causes are added, some of which it had imitated."""
+    names = {c.node for c in model.base} | {*open_nodes}
+    if given is None:
+        names.add("demosaicking")
+
+    def numbers(params: Params) -> dict[str, dict[str, Any]]:
+        return {
+            name: {f.name: np.asarray(getattr(params[name], f.name)).tolist()
+                   for f in dataclasses.fields(params[name])}
+            for name in sorted(names) if name in params
+        }  # fmt: skip
+
+    gates = {n.name: n.node.name for n in model.chain.nodes if isinstance(n, Gate)}
+    on = [n.name for n in model.chain.nodes if n.name not in gates or float(model.shared[n.name].on) > 0.5]
+    stages = [gates.get(name, name) for name in on]
+    row = {"stages": stages, "fitted": numbers(model.params(z)), "absorbed": dict(absorbed)}
+    row |= {} if after is None else {"fitted_after": numbers(after)}
+    return row if given is None else row | {"given": given}
+
+
+def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[str, Any]:
+    effect = EFFECTS[trial.effect]
+    params: dict[str, Any] = dict(trial.params)
+    for i in () if params else model.indices([trial.effect]):
+        moved = model.coordinates[i]
+        key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
+        params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
+    spread = max((trial.closed - trial.low) / 1.645, 1e-6)  # towards 0: the interval may be lopsided
+    return {
+        "effect": trial.effect,
+        "site": effect.site,
+        "gap_before": trial.before,
+        "gap_after": trial.after,
+        "closed": trial.closed,
+        "ci": [trial.low, trial.high],
+        "alternatives": alike,
+        "next_measurement": advice.between(trial.effect, alike),
+        "p_value": _p_value(trial.closed / spread, tried),
+        "params": params,
+    }
+
+
+def _p_value(z: float, tried: int) -> float:
+    """One-sided and normal, times the number of effects tried (Bonferroni)."""
+    return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
+
+
+FARTHER = "takes pixels farther away"
+NO_MORE = "closes no more than effects do where nothing is missing"
+NOT_SURE = "the pairs are too few to be sure of it"
+LEADS_LITTLE = "closes less than the quarter that a first cause must"
+NO_ACCOUNT = "does not account for the gap"
+HIDDEN = "these pairs hardly show it, however strong"
+TAKEN_UP = "taken up by the base fit"
+STATED = "the file's header states it"
+NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
+NO_HEADER = "without the file's header nothing tells it from the file's own compression"
+"""Why a candidate was not named; any of `ranking`'s reasons."""
+_COLOURS = {"hue", "saturation"}
+"""The axes of what acts by colour alone."""
+
+
+def _refusal(trial: Trial, found: Found) -> str | None:
+    """Why an effect that was refitted is no cause, where its interval does not say so itself."""
+    causes = [t for t, _ in found.causes]
+    if causes and told_by_pixels(causes[0], trial):
+        return f"takes pixels less near than {causes[0].effect}"
+    if not trial.possible:
+        return FARTHER
+    if trial.low <= SMALLEST:
+        return None
+    if not trial.accepted:
+        return NOT_SURE if trial.low > trial.least else NO_MORE
+    if causes:
+        return "closes too little beside " + " and ".join(t.effect for t in causes)
+    return LEADS_LITTLE if trial.closed < LEADING else NO_ACCOUNT
+
+
+def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
+    """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
+    line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
+    possible: it takes pixels no farther away. What was not tried closes nothing. What was not accepted though
+    its interval is above `SMALLEST` says why, and what was not tried.
+
+    Args:
+        found: by the search.
+        apart: by the effects that were not tried, why.
+        scale: the gap above the floor.
+    """
+    accepted = {t.effect: t for t, _ in found.causes}
+    alike = {name: t.effect for t, names in found.causes for name in names}
+    colourless = NO_COLOURS in apart.values()
+    rows = []
+    for name, promise in found.promises.items():
+        trial, promised = accepted.get(name, found.trials.get(name)), float(promise / scale)
+        promised = min(promised, 1.0) if trial is None else promised
+        row = {"effect": name, "closed": promised, "status": "rejected", "predicted": promised}
+        if trial is not None:
+            row |= {"closed": float(trial.closed), "ci": [trial.low, trial.high], "possible": trial.possible}
+        if name in accepted:
+            row["status"] = "accepted"
+        elif name in alike:
+            row |= {"status": "not_identifiable", "reason": f"looks the same as {alike[name]}"}
+        elif name in found.hidden:
+            row |= {"status": "not_identifiable", "reason": HIDDEN}
+        elif colourless and {*EFFECTS[name].axes} <= _COLOURS:
+            row |= {"status": "not_identifiable", "reason": NO_COLOURS}
+        elif trial is not None and (why := _refusal(trial, found)):
+            row |= {"reason": why}
+        rows.append(row)
+    for name, why in apart.items():
+        if name not in found.promises:
+            status = "not_identifiable" if why in (NO_HEADER, NO_COLOURS) else "absorbed"
+            rows.append({"effect": name, "closed": 0.0, "status": status, "reason": why})
+    return sorted(rows, key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))

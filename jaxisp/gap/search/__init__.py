@@ -1,0 +1,1 @@
+"""Which effects cause the gap: screening, refits, verdict."""

@@ -1,0 +1,159 @@
+"""Film grain beside a RAW: noise that the RAW does not have, told by its energy where nothing else is.
+
+No simulator predicts it pixel by pixel, so it lowers no squared error; what it can do is say how large
+the error must be. Its energy is read off flat areas, less what the picture's own detail predicts there (a
+denoiser's residual is the RAW's noise, grain's is not), less the floor, as a function of luma; and less the
+share of it that follows the picture's values: rounding to few levels, dithered or not, only looks random.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
+
+from jaxisp.color import ycbcr_to_rgb_planes
+from jaxisp.gap.case import Split
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.search.refit import Trial, interval
+from jaxisp.gap.search.screening import LEADING
+
+Cause = tuple[Trial, list[str]]
+
+_FLAT = 0.35  # share of the pixels that counts as flat
+_BINS = 8
+_FEW = 200  # flat pixels of a bin
+_HUES, _DEPTHS = 6, (0.33, 0.67, 0.9)
+_GRID = 8  # px: dither patterns are of 8x8 or less
+
+
+def grain_trial(problem: Problem, floor: np.ndarray, split: Split, scale: float, least: float) -> Trial:
+    """How much of the gap film grain accounts for where the problem stands.
+
+    Args:
+        problem: the residual is looked at, nothing is moved.
+        floor: (N, h, w, 3) what rounding and the file's compression do, in steps.
+        split: grain is measured on the fitted pairs, and closes on the others.
+        scale, least: as for `refit`.
+    """
+    fit_on, held = list(split.fit), list(split.held_out)
+    residual = problem.target - problem.current
+    flat = _flat(problem)
+    energy = _unpredicted(problem, residual, flat, fit_on) - (floor**2).sum(-1)
+    expected = _by_luma(problem.current[..., 0], energy, flat, fit_on)
+    expected = expected * (1 - _follows_values(problem, residual, floor, flat, split))
+    counted = problem.weight[..., 0] ** 2
+    found = problem.tiled(counted * (residual**2).sum(-1))[held]
+    left = found - problem.tiled(counted * expected)[held]
+    bottom = problem.tiled(counted * (floor**2).sum(-1))[held]
+    after = bottom + np.abs(left - bottom)
+    drop = found - after
+    low, high = interval(drop, scale)
+    means = float(np.nanmean(found)), float(np.nanmean(after))
+    params = {"std": float(np.sqrt(expected[flat].mean() / 3) / 255)}
+    return Trial(
+        "film_grain", problem.z, *means, float(np.nanmean(drop)) / scale, low, high, least, params=params
+    )
+
+
+def with_grain(causes: Sequence[Cause], grain: Trial, floor: float) -> list[Cause]:
+    """The causes with film grain where its closure belongs: its drop adds to the others'.
+
+    What another effect leaves in flat areas is less than a leading cause, and than half of what is left.
+    """
+    drop = grain.gain
+    if not grain.accepted or grain.closed < LEADING or drop < 0.5 * (grain.before - floor):
+        return list(causes)
+    first = [c for c in causes if c[0].closed >= grain.closed]
+    before = first[-1][0].after if first else (causes[0][0].before if causes else grain.before)
+    moved = [
+        (dataclasses.replace(t, before=t.before - drop, after=t.after - drop), alike)
+        for t, alike in causes[len(first) :]
+    ]
+    return [*first, (dataclasses.replace(grain, before=before, after=before - drop), []), *moved]
+
+
+def _flat(problem: Problem) -> np.ndarray:
+    """(N, h, w) where the simulator's picture hardly changes."""
+    slope = gaussian_gradient_magnitude(problem.current[..., 0], (0, 1.5, 1.5))
+    seen = problem.weight[..., 0] > 0
+    return np.asarray((slope < np.quantile(slope[seen], _FLAT)) & seen)
+
+
+def _unpredicted(
+    problem: Problem, residual: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]
+) -> np.ndarray:
+    """(N, h, w) energy of the residual's detail less what the picture's own predicts of it, colour by colour.
+
+    What is smooth in flat areas is an error of colour, not grain.
+    """
+    details = np.concatenate([_detail(problem.current, sigma) for sigma in (1.0, 3.0)], -1)
+    learnt = np.zeros_like(flat)
+    learnt[fit_on] = flat[fit_on]
+    left = _detail(residual, 3.0)
+    color = _colors(problem.current, flat)
+    for k in range(color.max() + 1):
+        own = color == k
+        if (own & learnt).sum() >= _FEW:
+            share, *_ = np.linalg.lstsq(details[own & learnt], left[own & learnt], rcond=None)
+            left[own] -= details[own] @ share
+    return np.asarray((left**2).sum(-1))
+
+
+def _colors(picture: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """(N, h, w) the number of a pixel's colour: grey, or one of six hues, pale, full or deep."""
+    cb, cr = picture[..., 1], picture[..., 2]
+    chroma = np.hypot(cb, cr)
+    depth = np.searchsorted(np.quantile(chroma[flat], _DEPTHS), chroma)
+    hue = ((np.arctan2(cr, cb) / (2 * np.pi) + 0.5) * _HUES).astype(int).clip(0, _HUES - 1)
+    return np.asarray(np.where(depth == 0, 0, 1 + (depth - 1) * _HUES + hue))
+
+
+def _follows_values(
+    problem: Problem, residual: np.ndarray, floor: np.ndarray, flat: np.ndarray, split: Split
+) -> float:
+    """The share of the residual's detail in flat areas that is one function of R, G or B and of the place in
+    a grid of 8x8 px.
+
+    What the function is on the fitted pairs is multiplied by what it is on the others: chance cancels.
+    """
+    values = _to_rgb(problem.current)
+    fine, bottom = (_to_rgb(_detail(d, 3.0)) for d in (residual, floor))
+    halves = split.fit, split.held_out
+    sides = [np.isin(np.arange(len(flat)), half)[:, None, None] & flat for half in halves]
+    height, width = flat.shape[1:]
+    place = np.add.outer(np.arange(height) % _GRID * _GRID, np.arange(width) % _GRID)
+    shared = energy = 0.0
+    for c in range(3):
+        cell = np.clip(values[..., c], 0, 255).astype(int) * _GRID**2 + place
+        counts = [np.bincount(cell[side], minlength=256 * _GRID**2) for side in sides]
+        sums = [np.bincount(cell[side], fine[..., c][side], 256 * _GRID**2) for side in sides]
+        both = (counts[0] > 0) & (counts[1] > 0)
+        first, second = (s[both] / n[both] for s, n in zip(sums, counts))
+        seen = (counts[0] + counts[1])[both]
+        shared += float((seen * first * second).sum() / max(seen.sum(), 1))
+        energy += float((fine[flat][:, c] ** 2).mean() - (bottom[flat][:, c] ** 2).mean())
+    return float(np.clip(shared / max(energy, 1e-6), 0, 1))
+
+
+def _to_rgb(steps: np.ndarray) -> np.ndarray:
+    return np.stack([np.asarray(p) for p in ycbcr_to_rgb_planes(*np.moveaxis(steps, -1, 0))], -1)
+
+
+def _detail(picture: np.ndarray, sigma: float) -> np.ndarray:
+    return np.asarray(picture - gaussian_filter(picture, (0, sigma, sigma, 0)))
+
+
+def _by_luma(luma: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]) -> np.ndarray:
+    """(N, h, w) the mean energy of flat areas of that luma, at least 0."""
+    learnt = np.zeros_like(flat)
+    learnt[fit_on] = flat[fit_on]
+    values, seen = energy[learnt], luma[learnt]
+    edges = np.quantile(seen, np.linspace(0, 1, _BINS + 1))
+    which = np.clip(np.searchsorted(edges, seen, "right") - 1, 0, _BINS - 1)
+    full = [k for k in range(_BINS) if (which == k).sum() >= _FEW]
+    if not full:
+        return np.zeros_like(energy)
+    centres = [seen[which == k].mean() for k in full]
+    means = [max(values[which == k].mean(), 0.0) for k in full]
+    return np.interp(luma, centres, means)

@@ -1,0 +1,1 @@
+"""The simulator under diagnosis: effects, model, rendering."""

@@ -1,0 +1,1 @@
+"""The JPEG codec on arrays: tables, blocks, coding."""
