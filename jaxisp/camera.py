@@ -76,14 +76,16 @@ def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
 
 
 def exposure_for_highlights(raw: Raw) -> float:
-    """The exposure [EV, 0 to 5] that brings the 99th percentile of the brightest balanced colour to white."""
+    """The exposure [EV, 0 to 5] that brings the 99th percentile of the brightest balanced colour to white,
+    and at least the baseline exposure that the file states."""
     gains = np.ones(3) if raw.white_balanced else raw.white_balance
     mosaic = shaded_mosaic(raw)
     brightest = max(
         gains["RGB".index(color)] * high_percentile(mosaic[i // 2 :: 2, i % 2 :: 2], 99)
         for i, color in enumerate(raw.cfa)
     )
-    return float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5))
+    # a gain of the file's own before this one would be undone by it as far as highlights are below white
+    return max(float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5)), raw.baseline_exposure)
 
 
 def high_percentile(plane: np.ndarray, percent: float) -> float:

@@ -68,6 +68,26 @@ def test_exposure_takes_the_highlights_to_white(raw):
     assert params_for(standard_camera(), black)["exposure"].exposure_ev == 5
 
 
+def test_the_baseline_exposure_is_a_gain_in_linear_light(raw):
+    """What brings highlights to white is at least that of the file; none is taken back."""
+    mosaic = np.full_like(raw.mosaic, 0.4)
+    mosaic[::4] = 1  # so that there is nothing to brighten
+    full = dataclasses.replace(raw, mosaic=mosaic, white_balance=np.ones(3))
+
+    def exposure(ev):
+        own = dataclasses.replace(full, baseline_exposure=ev)
+        return float(params_for(standard_camera(), own)["exposure"].exposure_ev)
+
+    assert [exposure(ev) for ev in (0.0, 1.0, 2.5, -1.0)] == [0, 1, 2.5, 0]
+    flat = dataclasses.replace(full, camera_to_srgb=np.eye(3))
+    camera = standard_camera("demosaic_bilinear")
+    once, twice = (develop(dataclasses.replace(flat, baseline_exposure=ev), camera) for ev in (0.0, 1.0))
+    np.testing.assert_allclose(linear(twice)[2::4], 2 * linear(once)[2::4], rtol=0.02)
+    dim = dataclasses.replace(full, mosaic=full.mosaic / 4)
+    dim = dataclasses.replace(dim, baseline_exposure=1.0)
+    assert params_for(standard_camera(), dim)["exposure"].exposure_ev == pytest.approx(2)
+
+
 def test_the_picture_is_turned_upright(raw):
     upright = develop(dataclasses.replace(raw, orientation=1))
     turned = develop(dataclasses.replace(raw, orientation=6))

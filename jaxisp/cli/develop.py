@@ -1,5 +1,6 @@
 """`jaxisp develop`: render a RAW file."""
 
+import sys
 from argparse import Namespace
 from typing import Any
 
@@ -29,11 +30,14 @@ def run(arguments: Namespace) -> int:
     if camera:
         check_traces(camera)
     raw = read_raw(arguments.raw)
+    for note in raw.notes:
+        print(f"jaxisp: {raw.path}: {note}", file=sys.stderr)
     picture = develop(raw, camera, jax.random.key(arguments.seed))
     write_png(arguments.out, picture)
     height, width = picture.shape[:2]
     if arguments.json:
-        print_json({"image": arguments.out, "width": width, "height": height, "cfa": raw.cfa})
+        size = {"width": width, "height": height}
+        print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": list(raw.notes)})
     else:
         print(f"{arguments.out}: {width} x {height}, {raw.cfa}")
     return 0

@@ -12,13 +12,14 @@ from jaxisp.cfa import PATTERNS
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, check_file, check_pixels
 from jaxisp.io.jpeg_frame import frame_header
+from jaxisp.io.silence import silent_libraries
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """rawpy on the file; what LibRaw raises becomes one line."""
     try:
-        with rawpy.imread(str(path)) as raw:
+        with silent_libraries(), rawpy.imread(str(path)) as raw:
             yield raw
     except (rawpy.LibRawError, rawpy.NotSupportedError, NotImplementedError, MemoryError) as error:
         text = error.args[0] if error.args else type(error).__name__
