@@ -8,6 +8,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError
@@ -103,6 +104,7 @@ def high_percentile(plane: np.ndarray, percent: float) -> float:
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
     """Render a RAW file. The lens shading that it states is corrected; what it states of distortion is not.
+    Pixels that are not square are made so.
 
     Large frames are rendered in strips of rows, as far as the camera's stages allow it.
 
@@ -129,4 +131,8 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             raise InputError(f"camera {camera.name!r}: {name} is drawn at random; developing needs numbers")
     whole = Chain((chain, stage("clip", name=DISPLAY)), chain.name)
     params = {**params_for(camera, raw), DISPLAY: Clip()}
-    return orient(np.asarray(run_in_strips(whole, params, shaded_mosaic(raw), key)), raw.orientation)
+    picture = run_in_strips(whole, params, shaded_mosaic(raw), key)
+    if raw.scale != (1, 1):
+        height, width = (max(1, round(n * by)) for n, by in zip(raw.mosaic.shape, raw.scale))
+        picture = jnp.clip(jax.image.resize(picture, (height, width, 3), "cubic"), 0, 1)
+    return orient(np.asarray(picture), raw.orientation)

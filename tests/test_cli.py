@@ -35,12 +35,14 @@ def run(capsys, *arguments):
 def test_develop_tells_what_a_file_states_that_is_not_applied(capsys, tmp_path):
     lens = WarpRectilinear(np.eye(1, 6), (0.5, 0.5))
     path = dng(
-        tmp_path / "a.dng", opcodes_3=[lens], extra_tags=[(50717, 4, 1, 0), (50718, 5, 2, (2, 1, 1, 1))]
+        tmp_path / "a.dng",
+        opcodes_3=[lens],
+        extra_tags=[(50717, 4, 1, 0), (51125, 5, 4, (0, 1, 0, 1, 1, 2, 1, 1))],
     )
     status, out, err = run(capsys, "develop", path, "-o", tmp_path / "a.png")
     assert status == 0 and len(err.splitlines()) == 3
     assert all(line.startswith(f"jaxisp: {path}: its ") for line in err.splitlines())
-    for words in ("WhiteLevel of 0", "OpcodeList3 has WarpRectilinear", "DefaultScale 2 x 1"):
+    for words in ("WhiteLevel of 0", "OpcodeList3 has WarpRectilinear", "DefaultUserCrop"):
         assert words in err
     status, out, _ = run(capsys, "develop", path, "-o", tmp_path / "a.png", "--json")
     assert len(json.loads(out)["notes"]) == 3

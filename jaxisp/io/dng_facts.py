@@ -13,6 +13,7 @@ from jaxisp.io.tags import DngTags
 
 _MOST_CODE = 65535  # of a pixel, and of the ISO speed of EXIF
 _MOST_EXPOSURE = 8.0  # EV
+_MOST_SCALE = 4.0
 
 
 def black_levels(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) -> np.ndarray:
@@ -111,12 +112,20 @@ def tell_unused(tags: DngTags, tell: Tell) -> None:
     names = [name for code, name in tag.STATED.items() if tags.get(code)]
     if names:
         tell(f"its {', '.join(names)} {'is' if len(names) == 1 else 'are'} not applied")
+    if tags.number(tag.COLORIMETRIC_REFERENCE, 0):
+        tell("its colours are those of a display (ColorimetricReference), read as those of the scene")
     crop = tags.numbers(tag.USER_CROP)
     if crop is not None and not np.array_equal(crop, (0, 0, 1, 1)):
         tell("its DefaultUserCrop is not applied")
+
+
+def default_scale(tags: DngTags, tell: Tell) -> tuple[float, float]:
+    """How much taller and wider the picture is to be rendered, so that its pixels are square."""
     scale = tags.numbers(tag.DEFAULT_SCALE, (1, 1))
-    if scale is not None and not (scale == scale[:1]).all():
-        tell(f"its pixels are not square (DefaultScale {' x '.join(f'{v:g}' for v in scale)}): not applied")
+    if scale is None or scale.size != 2 or not ((scale >= 1 / _MOST_SCALE) & (scale <= _MOST_SCALE)).all():
+        tell(f"its DefaultScale is not two numbers from {1 / _MOST_SCALE:g} to {_MOST_SCALE:g}: not applied")
+        return 1.0, 1.0
+    return float(scale[1]), float(scale[0])
 
 
 def header(tags: DngTags) -> dict[str, Any]:

@@ -33,6 +33,8 @@ def check_dng(tags: DngTags, path: Path, tell: Tell) -> None:
         raise InputError(f"{path}: holds no RAW pixels, expected a DNG with a Bayer mosaic")
     _check_size(raw, path)
     _check_filters(tags, path)
+    if samples != 1:
+        raise InputError(f"{path}: has {samples} samples a pixel, expected a mosaic of one")
     if raw.get(tag.SAMPLE_FORMAT) == 3:
         raise InputError(f"{path}: holds floating-point RAW pixels, expected integers")
     compression = raw.get(tag.COMPRESSION, _UNCOMPRESSED)
@@ -93,18 +95,17 @@ def _check_whole(raw: dict[int, Any], path: Path) -> None:
     if counts.size != parts or not counts.min() > 0:
         held = int((counts > 0).sum())
         raise InputError(f"{path}: is damaged: {held} of {parts} strips or tiles of RAW pixels are there")
-    if raw.get(tag.COMPRESSION, _UNCOMPRESSED) == _JPEG:
-        with path.open("rb") as file:
-            for i, (offset, count) in enumerate(zip(offsets.astype(int), counts.astype(int))):
-                top, left = i // columns * down, i % columns * across
-                seen = min(down, height - top) * min(across, width - left)
-                check_stream(file, offset, count, seen, path)
-        return
-    pixels, bits = width * height, raw.get(tag.BITS, 16)
-    if int(counts.sum()) * 8 < pixels * bits:
-        raise InputError(
-            f"{path}: is damaged: {int(counts.sum())} bytes of RAW pixels for {pixels} of {bits} bits"
-        )
+    bits = raw.get(tag.BITS, 16)
+    with path.open("rb") as file:
+        for i, (offset, count) in enumerate(zip(offsets.astype(int), counts.astype(int))):
+            top, left = i // columns * down, i % columns * across
+            pixels = min(down, height - top) * min(across, width - left)
+            if raw.get(tag.COMPRESSION, _UNCOMPRESSED) == _JPEG:
+                check_stream(file, offset, count, pixels, path)
+            elif count * 8 < pixels * bits:
+                raise InputError(
+                    f"{path}: is damaged: {count} bytes of RAW for {pixels} pixels of {bits} bits"
+                )
 
 
 def in_place(stored: np.ndarray, tags: DngTags, path: Path) -> np.ndarray:

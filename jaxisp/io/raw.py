@@ -53,6 +53,7 @@ class Raw:
         active_area: top, left, bottom, right in the sensor's frame.
         crop: top, left, height, width of `mosaic` in the active area.
         baseline_exposure: gain [EV] that the file asks for when it is rendered, not applied.
+        scale: rows and columns of the rendered picture for each of `mosaic`: (1, 1) where pixels are square.
         notes: a line on each thing that the file states and that is not applied, or not as it is stated.
     """
 
@@ -79,6 +80,7 @@ class Raw:
     model: str = ""
     baseline_exposure: float = 0.0
 
+    scale: tuple[float, float] = (1.0, 1.0)
     notes: tuple[str, ...] = ()
 
     @property
@@ -190,6 +192,7 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw
         crop=crop,
         noise_profile=dng.noise_profile(tags, tell),
         baseline_exposure=dng.baseline_exposure(tags, tell),
+        scale=dng.default_scale(tags, tell),
         **dng.lens(tags, path, tell),
         **dng.header(tags),
     )

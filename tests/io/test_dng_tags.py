@@ -18,7 +18,7 @@ from jaxisp.io.dng_color import calibration
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, pack_opcodes
 from jaxisp.io.raw import read_raw
 from tests.io.samples import WHITE, XYZ_TO_CAMERA, dng, mosaic
-from tests.io.test_raw import refused
+from tests.io.test_raw import _patched, refused
 
 WARM = np.array([[0.856, -0.2487, -0.0752], [-0.45, 1.23, 0.25], [-0.06, 0.17, 0.52]])
 A, D50, D65 = (0.44758, 0.40745), (0.3457, 0.3585), (0.31271, 0.32902)
@@ -172,9 +172,11 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((50716, 10, 3, (1, 1) * 3), "BlackLevelDeltaV has 3 numbers for 52 pixels", WHITE),
         ((50707, 1, 4, b"\1\x09\0\0"), "readers of DNG 1.9.0.0", WHITE),
         ((50730, 10, 1, (99, 1)), "BaselineExposure of 99 EV", WHITE),
-        ((50718, 5, 2, (2, 1, 1, 1)), "DefaultScale 2 x 1", WHITE),
+        ((50718, 5, 2, (9, 1, 1, 1)), "DefaultScale is not two numbers", WHITE),
         ((51125, 5, 4, (0, 1, 0, 1, 1, 2, 1, 1)), "DefaultUserCrop is not applied", WHITE),
         ((50940, 11, 4, (0.0, 0.0, 1.0, 1.0)), "ProfileToneCurve is not applied", WHITE),
+        ((50831, 7, 8, bytes(8)), "AsShotICCProfile is not applied", WHITE),
+        ((50879, 3, 1, 1), "ColorimetricReference", WHITE),
         ((50727, 5, 3, (0, 1) * 3), "AnalogBalance", WHITE),
         ((50728, 5, 3, (0, 1) * 3), "AsShotNeutral", WHITE),
         ((50721, 10, 9, (1, 1) * 9), "ColorMatrix cannot be inverted", WHITE),
@@ -309,6 +311,10 @@ def test_interleaved_pixels_are_put_in_place(tmp_path, rows, columns):
 )
 def test_other_layouts_are_refused_by_name(tmp_path, extra, words):
     refused(dng(tmp_path / "a.dng", extra_tags=[extra]), words)
+
+
+def test_several_samples_a_pixel_are_refused(tmp_path):
+    refused(_patched(dng(tmp_path / "a.dng"), 277, struct.pack("<H", 2)), "2 samples a pixel")
 
 
 def jpeg_dng(path, parts, tile=None):
