@@ -48,6 +48,15 @@ def test_develop_tells_what_a_file_states_that_is_not_applied(capsys, tmp_path):
     assert len(json.loads(out)["notes"]) == 3
 
 
+def test_develop_quad_bayer(capsys, tmp_path):
+    cell = bytes([0, 0, 1, 1] * 2 + [1, 1, 2, 2] * 2)
+    path = dng(tmp_path / "a.dng", extra_tags=[(33421, 3, 2, (4, 4)), (33422, 1, 16, cell)], black=(64,))
+    for option, size in (((), (35, 26)), (("--remosaic",), (70, 52))):
+        status, out, err = run(capsys, "develop", path, "-o", tmp_path / "a.png", "--json", *option)
+        found = json.loads(out)
+        assert (status, found["width"], found["height"]) == (0, *size) and "2 x 2 pixels" in err
+
+
 def test_stages(capsys):
     status, out, _ = run(capsys, "stages", "--json")
     stages = json.loads(out)

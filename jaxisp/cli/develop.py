@@ -14,6 +14,11 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="as jaxisp fit writes it; a plain one unless given"
     )
+    command.add_argument(
+        "--remosaic",
+        action="store_true",
+        help="quad Bayer at full size; the mean of each filter unless given",
+    )
 
 
 def run(arguments: Namespace) -> int:
@@ -29,7 +34,7 @@ def run(arguments: Namespace) -> int:
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     if camera:
         check_traces(camera)
-    raw = read_raw(arguments.raw)
+    raw = read_raw(arguments.raw, quad="remosaic" if arguments.remosaic else "bin")
     for note in raw.notes:
         print(f"jaxisp: {raw.path}: {note}", file=sys.stderr)
     picture = develop(raw, camera, jax.random.key(arguments.seed))

@@ -10,6 +10,7 @@ from jaxisp.io import tags as tag
 from jaxisp.io.dng_color import Tell
 from jaxisp.io.files import check_pixels
 from jaxisp.io.jpeg_lossless import check_stream
+from jaxisp.io.quad import Filters, filters
 from jaxisp.io.tags import DngTags
 
 _NEWEST = (1, 7, 1, 0)
@@ -62,10 +63,8 @@ def _check_size(raw: dict[int, Any], path: Path) -> None:
 
 
 def _check_filters(tags: DngTags, path: Path) -> None:
-    raw, pattern = tags.raw, tags.raw.get(tag.CFA_PATTERN, b"")
-    if tuple(raw.get(tag.CFA_DIM, ())) != (2, 2) or sorted(pattern) != [0, 1, 1, 2]:
-        dims = "x".join(f"{n:g}" for n in raw.get(tag.CFA_DIM, ())) or "unknown"
-        raise InputError(f"{path}: has a colour filter array that is not Bayer ({dims} cell)")
+    raw = tags.raw
+    color_filters(tags, path)
     if raw.get(tag.PLANE_COLOR, b"\0\1\2") != b"\0\1\2":
         raise InputError(f"{path}: has a colour filter array that is not red, green and blue")
     if (layout := tags.number(tag.CFA_LAYOUT, 1)) != 1:
@@ -74,6 +73,18 @@ def _check_filters(tags: DngTags, path: Path) -> None:
     if block is not None and not (block == 1).all():
         text = " x ".join(f"{n:g}" for n in block)
         raise InputError(f"{path}: stores its pixels in blocks of {text} (SubTileBlockSize), expected 1 x 1")
+
+
+def color_filters(tags: DngTags, path: Path) -> Filters:
+    """The Bayer pattern of the active area, whose filters may cover several pixels."""
+    dims, pattern = tags.raw.get(tag.CFA_DIM, np.zeros(0)), tags.raw.get(tag.CFA_PATTERN, b"")
+    found = None
+    if dims.size == 2 and dims.min() >= 1 and len(pattern) == dims.prod() and max(pattern) <= 2:
+        found = filters(np.array(list(pattern)).reshape(dims.astype(int)))
+    if found is None:
+        text = "x".join(f"{n:g}" for n in dims) or "unknown"
+        raise InputError(f"{path}: has a colour filter array that is not Bayer ({text} cell)")
+    return found
 
 
 def _check_whole(raw: dict[int, Any], path: Path) -> None:

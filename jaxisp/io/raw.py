@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from jaxisp.io.calibration import (
 )
 from jaxisp.io.description import RawDescription
 from jaxisp.io.files import PathLike, check_file, load_npy
-from jaxisp.io.libraw import camera_crop, check_bayer, opened, white_gains
+from jaxisp.io.libraw import camera_crop, check_bayer, check_mosaic, opened, white_gains
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, Opcode, WarpRectilinear, shading_gain
+from jaxisp.io.quad import Filters, binned, reduced, remosaicked
 from jaxisp.io.settings import SettingsFile
 
 RAW_SUFFIXES = (
@@ -107,19 +109,26 @@ class Raw:
 
 
 @np.errstate(all="ignore")  # a damaged file's numbers may overflow: what comes of them is checked
-def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
+def read_raw(
+    path: PathLike, description: RawDescription | None = None, quad: Literal["bin", "remosaic"] = "bin"
+) -> Raw:
     """Read a RAW file, or a mosaic in `NAME.raw.npy`.
 
     Args:
-        path: any Bayer RAW that LibRaw opens.
+        path: any Bayer RAW that LibRaw opens, or a DNG whose filters cover 2x2 to 4x4 pixels each.
         description: overrides what the file states; by default `[raw]` of the dataset.toml beside it, and
             that of the file's own stem. A `.npy`, or a `.raw` without a header (which LibRaw knows by nothing
             but its size), must have one.
+        quad: what becomes of such filters: the mean of each ("bin"), or a Bayer mosaic of full size
+            ("remosaic").
 
     Raises:
+        ValueError: another `quad`.
         InputError: it cannot be read, is damaged or truncated, or is no Bayer mosaic (X-Trans,
             monochrome, linear, Foveon).
     """
+    if quad not in ("bin", "remosaic"):
+        raise ValueError(f"read_raw: quad must be bin or remosaic, got {quad!r}")
     path = check_file(path)
     is_npy = path.suffix.lower() == ".npy"
     bare = is_npy or _is_headerless(path)
@@ -134,7 +143,7 @@ def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
     if tags is None and path.suffix.lower() == ".dng":
         raise InputError(f"{path}: is not a DNG, or a damaged one (its TIFF tags cannot be read)")
     if tags is not None and (tags.is_dng or path.suffix.lower() == ".dng"):
-        return _read_dng(path, tags, description)
+        return _read_dng(path, tags, description, quad)
     return _read_other(path, tags, description)
 
 
@@ -163,7 +172,7 @@ def _check_magic(path: Path) -> None:
             raise InputError(f"{path}: is a {name} file, expected a RAW file")
 
 
-def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw:
+def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: str) -> Raw:
     notes: list[str] = []
     tell = notes.append
     dng_layout.check_dng(tags, path, tell)
@@ -171,7 +180,7 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw
     active = area[2] - area[0], area[3] - area[1]
     crop = dng_layout.default_crop(tags, active, path)
     with opened(path) as raw:
-        check_bayer(raw, path)
+        check_mosaic(raw, path)
         if raw.raw_image.shape != (tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]):
             raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
         pixels = dng_layout.in_place(raw.raw_image, tags, path)
@@ -179,12 +188,12 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw
         as_shot = white_gains(raw.camera_whitebalance)
     calibration = dng_color.calibration(tags, tell)
     neutral = dng_color.neutral(tags, calibration, as_shot, tell)
-    pattern = "".join("RGB"[i] for i in tags.raw[tag.CFA_PATTERN])
+    filters = dng_layout.color_filters(tags, path)
     black = dng.black_levels(tags, active, path, tell)
     raw_picture = Raw(
         path=path,
         mosaic=levels,
-        cfa=shifted(pattern, crop[0], crop[1]),
+        cfa=filters.after(crop[0], crop[1]).cfa,
         black=_cut(black, crop),
         white=dng.white_level(tags, tell),
         white_balance=1 / neutral,
@@ -199,7 +208,44 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw
     dng.tell_unused(tags, tell)
     if calibration is not None:
         raw_picture = _calibrated(raw_picture, calibration, neutral)
-    return _finish(replace(raw_picture, notes=tuple(notes)), description, float(black.max()))
+    raw_picture = _finish(raw_picture, description, float(black.max()))
+    if filters.size > 1:
+        raw_picture = _made_bayer(raw_picture, filters, quad, tell)
+    return replace(raw_picture, notes=tuple(notes))
+
+
+def _made_bayer(raw: Raw, filters: Filters, quad: str, tell: dng_color.Tell) -> Raw:
+    """A picture whose `filters`, those of its active area, cover several pixels each, as a Bayer mosaic."""
+    own, n = filters.after(*raw.crop[:2]), filters.size
+    before, after = (
+        tuple(o for o in opcodes if not isinstance(o, GainMap) or o.pitch == (1, 1))
+        for opcodes in (raw.opcodes_2, raw.opcodes_3)
+    )
+    if len(before + after) < len(raw.opcodes_2 + raw.opcodes_3):
+        tell("its GainMaps for single pixels of a filter are not applied")
+    raw = replace(raw, opcodes_2=before, opcodes_3=after)
+    if quad == "remosaic":
+        gains = np.ones(3) if raw.white_balanced else raw.white_balance
+        mosaic, cfa = remosaicked(raw.mosaic, own, gains)
+        tell(f"its filters cover {n} x {n} pixels: made a Bayer mosaic of full size")
+        return replace(raw, mosaic=mosaic, cfa=cfa)
+    mosaic = binned(raw.mosaic, own)
+    if min(mosaic.shape) < 2:
+        raise InputError(f"{raw.path}: has fewer than 2 x 2 filters of {n} x {n} pixels")
+    tell(f"its filters cover {n} x {n} pixels: their means are taken")
+    top, left, bottom, right = raw.active_area
+    height, width = (bottom - top - filters.start[0]) // n, (right - left - filters.start[1]) // n
+    first = [(cut + new - old) // n for cut, new, old in zip(raw.crop, own.start, filters.start)]
+    noise = raw.noise_profile
+    return replace(
+        raw,
+        mosaic=mosaic,
+        active_area=(top // n, left // n, top // n + height, left // n + width),
+        crop=(*first, *mosaic.shape),
+        noise_profile=None if noise is None else noise / (n * n, n),
+        opcodes_2=tuple(reduced(o, filters) for o in before),
+        opcodes_3=tuple(reduced(o, filters) for o in after),
+    )
 
 
 def _calibrated(raw: Raw, calibration: Calibration, neutral: np.ndarray) -> Raw:
