@@ -24,9 +24,8 @@ def black_levels(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) 
     if dims.size != 2 or not dims.min() >= 1 or cell.size != dims.prod():
         raise InputError(f"{path}: has a damaged BlackLevel")
     rows, columns = (int(v) for v in dims)
-    cell = cell.reshape(rows, columns)[: shape[0], : shape[1]].astype(np.float32)
-    repeats = [-(-n // own) for n, own in zip(shape, cell.shape)]
-    black = np.tile(cell, repeats)[: shape[0], : shape[1]]
+    wide = cell.reshape(rows, columns).astype(np.float32)[: shape[0], np.arange(shape[1]) % columns]
+    black = wide[np.arange(shape[0]) % rows]
     for code, axis in ((tag.BLACK_DELTA_H, 1), (tag.BLACK_DELTA_V, 0)):
         delta = tags.numbers(code)
         if delta is None:

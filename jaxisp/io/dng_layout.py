@@ -1,7 +1,7 @@
 """How the RAW pixels of a DNG are laid out, and what must hold before LibRaw opens them."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from jaxisp.errors import InputError
 from jaxisp.io import tags as tag
 from jaxisp.io.dng_color import Tell
 from jaxisp.io.files import check_pixels
-from jaxisp.io.jpeg_lossless import check_stream
+from jaxisp.io.jpeg_lossless import check_stream, ends_as
 from jaxisp.io.quad import Filters, filters
 from jaxisp.io.tags import DngTags
 
@@ -87,8 +87,19 @@ def color_filters(tags: DngTags, path: Path) -> Filters:
     return found
 
 
-def _check_whole(raw: dict[int, Any], path: Path) -> None:
-    """LibRaw leaves missing rows black without a word: so compare the file's size with what it says."""
+class Part(NamedTuple):
+    """A strip or tile: its bytes in the file, and its pixels, those beyond the picture included."""
+
+    offset: int
+    size: int
+    top: int
+    left: int
+    height: int
+    width: int
+
+
+def _parts(raw: dict[int, Any], path: Path) -> list[Part]:
+    """Strips or tiles; InputError where some are not in the file."""
     tiled = tag.TILE_OFFSETS in raw
     none = np.zeros(0)
     offsets = raw.get(tag.TILE_OFFSETS if tiled else tag.STRIP_OFFSETS, none)
@@ -106,17 +117,44 @@ def _check_whole(raw: dict[int, Any], path: Path) -> None:
     if counts.size != parts or not counts.min() > 0:
         held = int((counts > 0).sum())
         raise InputError(f"{path}: is damaged: {held} of {parts} strips or tiles of RAW pixels are there")
-    bits = raw.get(tag.BITS, 16)
+    places = [(i // columns * down, i % columns * across) for i in range(parts)]
+    return [
+        Part(int(offset), int(count), top, left, down if tiled else min(down, height - top), across)
+        for offset, count, (top, left) in zip(offsets, counts, places)
+    ]
+
+
+def _check_whole(raw: dict[int, Any], path: Path) -> None:
+    """LibRaw leaves missing rows black without a word: so compare the file's size with what it says."""
+    width, height, bits = raw[tag.WIDTH], raw[tag.HEIGHT], raw.get(tag.BITS, 16)
     with path.open("rb") as file:
-        for i, (offset, count) in enumerate(zip(offsets.astype(int), counts.astype(int))):
-            top, left = i // columns * down, i % columns * across
-            pixels = min(down, height - top) * min(across, width - left)
+        for part in _parts(raw, path):
+            pixels = min(part.height, height - part.top) * min(part.width, width - part.left)
             if raw.get(tag.COMPRESSION, _UNCOMPRESSED) == _JPEG:
-                check_stream(file, offset, count, pixels, path)
-            elif count * 8 < pixels * bits:
+                check_stream(file, part.offset, part.size, pixels, path)
+            elif part.size * 8 < pixels * bits:
                 raise InputError(
-                    f"{path}: is damaged: {count} bytes of RAW for {pixels} pixels of {bits} bits"
+                    f"{path}: is damaged: {part.size} bytes of RAW for {pixels} pixels of {bits} bits"
                 )
+
+
+def check_decoded(stored: np.ndarray, tags: DngTags, path: Path) -> None:
+    """Raise InputError where LibRaw's pixels are not those at the end of each stream of lossless JPEG."""
+    raw = tags.raw
+    if raw.get(tag.COMPRESSION) != _JPEG or tags.get(tag.LINEARIZATION) is not None:
+        return
+    with path.open("rb") as file:
+        for part in _parts(raw, path):
+            last, right = part.top + part.height, part.left + part.width
+            stream = check_stream(file, part.offset, part.size, 0, path)
+            as_wide = stream.width * stream.components == part.width and stream.height == part.height
+            if last > raw[tag.HEIGHT] or right > raw[tag.WIDTH] or not as_wide:
+                continue
+            if part.height < 2:
+                continue
+            rows = stored[last - 2 : last, part.left : right]
+            if not ends_as(file, part.offset, part.size, stream, rows):
+                raise InputError(f"{path}: is damaged: a JPEG of its RAW pixels does not end where it should")
 
 
 def in_place(stored: np.ndarray, tags: DngTags, path: Path) -> np.ndarray:

@@ -183,6 +183,7 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: 
         check_mosaic(raw, path)
         if raw.raw_image.shape != (tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]):
             raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
+        dng_layout.check_decoded(raw.raw_image, tags, path)
         pixels = dng_layout.in_place(raw.raw_image, tags, path)
         levels = _cut(pixels[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
         as_shot = white_gains(raw.camera_whitebalance)

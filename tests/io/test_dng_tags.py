@@ -352,6 +352,23 @@ def test_lossless_jpeg_that_is_not_whole_is_refused(tmp_path, capfd):
     assert capfd.readouterr().err == "", "a library wrote beside the error"
 
 
+@pytest.mark.parametrize("components", [1, 2])
+@pytest.mark.parametrize("predictor", range(1, 8))
+def test_lossless_jpeg_whose_middle_is_lost_is_refused(tmp_path, predictor, components):
+    """It still has its end; another's encoder (libjpeg-turbo's) writes all kinds."""
+    rng = np.random.default_rng(predictor)
+    pixels = (300 + 100 * np.sin(np.arange(96) / 9) + rng.normal(0, 8, (64, 96))).astype(np.uint16)
+    shape = (64, 96) if components == 1 else (64, 48, 2)
+    options = {"lossless": True, "predictor": predictor, "bitspersample": 12}
+    data = imagecodecs.jpeg8_encode(pixels.reshape(shape), **options)
+    whole = read_raw(jpeg_dng(tmp_path / "a.dng", [data]))
+    np.testing.assert_allclose(whole.mosaic * (WHITE - 64) + 64, pixels, atol=1e-3)
+    first, last = len(data) // 3, 5 * len(data) // 6
+    noise = rng.integers(0, 255, last - first, np.uint8).tobytes()  # without markers
+    for lost in (bytes(last - first), noise, b""):
+        refused(jpeg_dng(tmp_path / "b.dng", [data[:first] + lost + data[last:]]), "")
+
+
 def test_tiles_that_are_not_there_are_refused(tmp_path):
     y, x = np.mgrid[:64, :96]
     pixels = (200 + 3 * x + y).astype(np.uint16)
