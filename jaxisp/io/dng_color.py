@@ -13,6 +13,7 @@ Tell = Callable[[str], None]
 """Takes one line on what a file states that is not used, or used otherwise than it says."""
 
 _OTHER = 255  # LightSource: see IlluminantData
+_MOST_GAIN = 1e3  # of one colour against another
 _MOST_SAMPLES = 1000  # of a spectrum, by the specification
 
 
@@ -21,8 +22,9 @@ def calibration(tags: DngTags, tell: Tell) -> Calibration | None:
     colors = [tags.matrix(code) for code in tag.COLOR_MATRICES]
     slots = [i for i, matrix in enumerate(colors) if usable(matrix)]
     if not slots:
-        if any(tags.get(code) is not None for code in tag.COLOR_MATRICES):
-            tell("its ColorMatrix cannot be inverted and is not used")
+        stated = any(tags.get(code) is not None for code in tag.COLOR_MATRICES)
+        own = "its ColorMatrix cannot be inverted" if stated else "it states no ColorMatrix"
+        tell(f"{own}: colours stay the camera's")
         return None
     balance = tags.numbers(tag.ANALOG_BALANCE, (1.0, 1.0, 1.0))
     if balance is None or balance.shape != (3,) or not (np.isfinite(balance).all() and balance.min() > 0):
@@ -113,13 +115,15 @@ def neutral(tags: DngTags, calibration: Calibration | None, as_shot: np.ndarray,
     """What the camera saw of grey, green 1: from the tags, else from LibRaw's gains."""
     stated, xy = tags.numbers(tag.NEUTRAL), tags.numbers(tag.WHITE_XY)
     if stated is not None:
-        if stated.size == 3 and np.isfinite(stated).all() and stated.min() > 0:
+        if stated.size == 3 and np.isfinite(stated).all() and 0 < stated.max() < _MOST_GAIN * stated.min():
             return stated / stated[1]
-        tell("its AsShotNeutral is not three positive numbers and is not used")
+        tell("its AsShotNeutral is not three positive numbers of one size and is not used")
     if xy is not None:
         fine = xy.size == 2 and np.isfinite(xy).all() and xy.min() > 0 and xy.sum() < 1
         seen = neutral_of(calibration, xy) if calibration is not None and fine else np.zeros(3)
         if np.isfinite(seen).all() and seen.min() > 0:
             return seen
         tell("its AsShotWhiteXY gives no white balance and is not used")
+    if stated is None and xy is None:
+        tell("it states no white balance")
     return 1 / as_shot

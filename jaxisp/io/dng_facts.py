@@ -45,6 +45,8 @@ def white_level(tags: DngTags, tell: Tell) -> float:
     table = tags.numbers(tag.LINEARIZATION)
     if table is not None and (np.diff(table) < 0).any():
         tell("its LinearizationTable falls: brighter light may have darker pixels")
+    elif table is not None and table.size and table.max() == table.min():
+        tell("its LinearizationTable is of one value: all pixels are alike")
     largest = 2.0 ** min(tags.raw.get(tag.BITS, 16), 16) - 1
     if table is not None and table.size:
         largest = max(largest, float(table.max()))
@@ -108,6 +110,8 @@ def lens(tags: DngTags, path: Path, tell: Tell) -> dict[str, Any]:
 
 def tell_unused(tags: DngTags, tell: Tell) -> None:
     """What else the file states of its look and is not applied."""
+    if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
+        tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
     names = [name for code, name in tag.STATED.items() if tags.get(code)]
     if names:
         tell(f"its {', '.join(names)} {'is' if len(names) == 1 else 'are'} not applied")

@@ -187,7 +187,7 @@ def active_area(tags: DngTags, path: Path) -> tuple[int, int, int, int]:
     return top, left, bottom, right
 
 
-def default_crop(tags: DngTags, shape: tuple[int, int], path: Path) -> tuple[int, int, int, int]:
+def default_crop(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) -> tuple[int, int, int, int]:
     """Top, left, height, width of the picture within the active area, cut where it would leave it."""
     origin, size = tags.numbers(tag.CROP_ORIGIN, (0, 0)), tags.numbers(tag.CROP_SIZE, shape[::-1])
     if origin is None or size is None or origin.size != 2 or size.size != 2:
@@ -196,6 +196,8 @@ def default_crop(tags: DngTags, shape: tuple[int, int], path: Path) -> tuple[int
         raise InputError(f"{path}: has a damaged DefaultCrop")
     left, top = (int(v) for v in np.rint(origin))
     width, height = (int(v) for v in np.rint(size))
+    if height > shape[0] - top or width > shape[1] - left:
+        tell(f"its DefaultCrop ends outside of its {shape[1]} x {shape[0]} pixels: it is cut")
     height, width = min(height, shape[0] - top), min(width, shape[1] - left)
     if min(height, width) < 2:
         raise InputError(

@@ -178,7 +178,7 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: 
     dng_layout.check_dng(tags, path, tell)
     area = dng_layout.active_area(tags, path)
     active = area[2] - area[0], area[3] - area[1]
-    crop = dng_layout.default_crop(tags, active, path)
+    crop = dng_layout.default_crop(tags, active, path, tell)
     with opened(path) as raw:
         check_mosaic(raw, path)
         if raw.raw_image.shape != (tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]):

@@ -168,6 +168,10 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((50717, 4, 1, 0), "WhiteLevel of 0 is not from 1 to 65535: 65535 is taken", 65535),
         ((50717, 4, 1, 2**32 - 1), "WhiteLevel of 4.29497e+09", 65535),
         ((50712, 3, 3, (1023, 512, 0)), "LinearizationTable falls", WHITE),
+        ((50712, 3, 2, (500, 500)), "LinearizationTable is of one value", WHITE),
+        ((50720, 4, 2, (71, 52)), "DefaultCrop ends outside of its 70 x 52 pixels", WHITE),
+        ((50728, 5, 3, (1, 10**6, 1, 1, 1, 1)), "AsShotNeutral", WHITE),
+        ((274, 3, 1, 9), "Orientation of 9", WHITE),
         ((50715, 10, 3, (1, 1) * 3), "BlackLevelDeltaH has 3 numbers for 70 pixels", WHITE),
         ((50716, 10, 3, (1, 1) * 3), "BlackLevelDeltaV has 3 numbers for 52 pixels", WHITE),
         ((50707, 1, 4, b"\1\x09\0\0"), "readers of DNG 1.9.0.0", WHITE),
@@ -186,6 +190,16 @@ def test_what_is_not_used_as_it_is_stated_is_told(tmp_path, extra, words, white)
     raw = read_raw(dng(tmp_path / "a.dng", extra_tags=[extra]))
     assert len(raw.notes) == 1 and words in raw.notes[0] and "\n" not in raw.notes[0]
     assert raw.white == white and np.isfinite(raw.mosaic).all()
+
+
+def test_colours_that_are_not_stated_are_told(tmp_path):
+    assert read_raw(dng(tmp_path / "a.dng", color_matrix=None)).notes == (
+        "it states no ColorMatrix: colours stay the camera's",
+    )
+    path = tmp_path / "b.dng"
+    data = dng(path).read_bytes().replace(struct.pack("<HHL", 50728, 5, 3), struct.pack("<HHL", 50727, 5, 3))
+    path.write_bytes(data)
+    assert read_raw(path).notes == ("it states no white balance",)
 
 
 def test_a_plain_file_has_no_notes(tmp_path):
