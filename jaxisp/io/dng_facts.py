@@ -82,13 +82,11 @@ def noise_profile(tags: DngTags, tell: Tell) -> np.ndarray | None:
 
 def baseline_exposure(tags: DngTags, tell: Tell) -> float:
     """Gain [EV] with which the file is to be rendered: BaselineExposure and its profile's offset."""
-    stated = [tags.numbers(code, 0.0) for code in (tag.BASELINE_EXPOSURE, tag.EXPOSURE_OFFSET)]
-    total = float(sum(values[0] for values in stated if values is not None and values.size))
+    # 0/0, which is no number, is how some cameras say nothing
+    total = sum(tags.number(code, 0.0) or 0.0 for code in (tag.BASELINE_EXPOSURE, tag.EXPOSURE_OFFSET))
     if abs(total) <= _MOST_EXPOSURE:
         return total
-    # 0/0 is how some cameras say nothing
-    if not np.isnan(total):
-        tell(f"its BaselineExposure of {total:g} EV is beyond {_MOST_EXPOSURE:g} and is not used")
+    tell(f"its BaselineExposure of {total:g} EV is beyond {_MOST_EXPOSURE:g} and is not used")
     return 0.0
 
 
@@ -103,7 +101,7 @@ def lens(tags: DngTags, path: Path, tell: Tell) -> dict[str, Any]:
         for name in left:
             tell(f"its OpcodeList{number} has {name}, which is not applied")
         shading.append(kept)
-        warps += [o for o in opcodes if isinstance(o, WarpRectilinear)]
+        warps += [o for o in opcodes if number > 1 and isinstance(o, WarpRectilinear)]
     check_gains([o for own in shading for o in own], str(path))
     return {"opcodes_2": shading[1], "opcodes_3": shading[2], "warp": warps[0] if warps else None}
 

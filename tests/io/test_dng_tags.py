@@ -192,6 +192,13 @@ def test_what_is_not_used_as_it_is_stated_is_told(tmp_path, extra, words, white)
     assert raw.white == white and np.isfinite(raw.mosaic).all()
 
 
+def test_the_exposure_offset_of_the_profile_adds_to_the_baseline(tmp_path):
+    extra = [(50730, 10, 1, (3, 2)), (51109, 10, 1, (-1, 4))]
+    assert read_raw(dng(tmp_path / "a.dng", extra_tags=extra)).baseline_exposure == 1.25
+    extra = [(50730, 10, 1, (0, 0)), (51109, 10, 1, (1, 4))]
+    assert read_raw(dng(tmp_path / "b.dng", extra_tags=extra)).baseline_exposure == 0.25
+
+
 def test_colours_that_are_not_stated_are_told(tmp_path):
     assert read_raw(dng(tmp_path / "a.dng", color_matrix=None)).notes == (
         "it states no ColorMatrix: colours stay the camera's",
