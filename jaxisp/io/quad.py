@@ -12,6 +12,7 @@ from jaxisp.io.opcodes import GainMap, Opcode
 
 _MOST_CELL = 16  # rows and columns of a repeated cell
 _LARGEST = 4
+_STRIP = 512  # rows that are made at once: what a frame of 200 megapixels takes is bounded
 
 
 class Filters(NamedTuple):
@@ -73,6 +74,16 @@ def remosaicked(mosaic: np.ndarray, own: Filters, gains: np.ndarray) -> tuple[np
         gains: (3,) of R, G, B that balance it.
     """
     cfa = shifted(own.cfa, *own.start)
+    out, margin = np.empty_like(mosaic), 2 * own.size
+    for top in range(0, mosaic.shape[0], _STRIP):
+        first = max(0, top - margin)
+        part = mosaic[first : top + _STRIP + margin]
+        made = _remosaicked(part, own.after(first, 0), shifted(cfa, first, 0), gains)
+        out[top : top + _STRIP] = made[top - first :][:_STRIP]
+    return out, cfa
+
+
+def _remosaicked(mosaic: np.ndarray, own: Filters, cfa: str, gains: np.ndarray) -> np.ndarray:
     rows, columns = np.ogrid[: mosaic.shape[0], : mosaic.shape[1]]
     has = _colors(own.cfa)[(rows - own.start[0]) // own.size % 2, (columns - own.start[1]) // own.size % 2]
     wanted = _colors(cfa)[rows % 2, columns % 2]
@@ -80,7 +91,7 @@ def remosaicked(mosaic: np.ndarray, own: Filters, gains: np.ndarray) -> tuple[np
     rate = (gains[:, None] / gains).astype(np.float32)  # of the detail of one colour in another
     detail = mosaic - np.take_along_axis(means, has[None], 0)[0]
     other = np.take_along_axis(means, wanted[None], 0)[0] + detail * rate[has, wanted]
-    return np.where(has == wanted, mosaic, other), cfa
+    return np.where(has == wanted, mosaic, other)
 
 
 def _colors(cfa: str) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 
 from jaxisp.cfa import PATTERNS
 from jaxisp.io.opcodes import GainMap
-from jaxisp.io.quad import Filters, filters
+from jaxisp.io.quad import Filters, filters, remosaicked
 from jaxisp.io.raw import read_raw
 from jaxisp.samples import scene
 from tests.io.samples import BLACK, NEUTRAL, WHITE, dng
@@ -138,6 +138,16 @@ def test_remosaicked_keeps_detail(tmp_path):
         means[row::2, column::2] = plane[row::2, column::2]
     error, usual = (np.sqrt(np.square(m - want)[8:-8, 8:-8].mean()) for m in (raw.mosaic, means))
     assert error < 0.5 * usual
+
+
+def test_strips_of_rows_make_the_whole(monkeypatch, rng):
+    light = rng.uniform(size=(50, 40)).astype(np.float32)
+    for own in (Filters("GRBG", 2, (1, 0)), Filters("RGGB", 3, (2, 1))):
+        whole, _ = remosaicked(light, own, GAINS)
+        monkeypatch.setattr("jaxisp.io.quad._STRIP", 7)
+        parts, _ = remosaicked(light, own, GAINS)
+        monkeypatch.undo()
+        np.testing.assert_allclose(parts, whole, atol=1e-6)
 
 
 def test_other_words_are_refused(tmp_path):
