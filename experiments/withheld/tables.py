@@ -1,6 +1,6 @@
 """Turn what `study` found into Markdown.
 
-    python -m experiments.withheld.tables docs/results/withheld.json -o docs/results/withheld.md
+    python -m experiments.withheld.tables RESULTS.json -o RESULTS.md
 
 Several files may be given; a case in more than one of them counts as the last has it.
 """
@@ -37,7 +37,7 @@ study="python -m experiments.withheld.study --out {results}"
 python -m experiments.withheld.tables {results} -o {page}
 ```
 
-The nulls that are skipped set the thresholds ([how](../diagnosis.md)). A command that was stopped goes on.
+Skipped nulls set the thresholds. An interrupted command continues where it was.
 """
 
 
