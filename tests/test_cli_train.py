@@ -10,7 +10,7 @@ from PIL import Image
 
 from jaxisp.cli import main
 from jaxisp.io import read_image
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.mounts import mounted
 
 SMALL = (
