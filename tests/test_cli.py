@@ -12,7 +12,7 @@ from PIL import Image
 from jaxisp.cli import main
 from jaxisp.io import WarpRectilinear, open_dataset
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.io.samples import dng
 from tests.mounts import mounted
 

@@ -12,12 +12,10 @@ def add_commands(commands: Any) -> None:
     command.add_argument("raw", metavar="RAW", help="a Bayer RAW that LibRaw opens, or NAME.raw.npy")
     command.add_argument("-o", "--out", required=True, metavar="OUT.png")
     command.add_argument(
-        "--camera", metavar="CAMERA.toml", help="as jaxisp fit writes it; a plain one unless given"
+        "--camera", metavar="CAMERA.toml", help="a camera written by jaxisp fit (default: a plain one)"
     )
     command.add_argument(
-        "--remosaic",
-        action="store_true",
-        help="quad Bayer at full size; the mean of each filter unless given",
+        "--remosaic", action="store_true", help="render quad Bayer at full size (default: bin each filter)"
     )
 
 
