@@ -69,10 +69,10 @@ def compare(path: Path) -> Iterator[str]:
     with patch.object(ahd, "_clipped", lambda planes: planes):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... without clipping the candidates | {found}"
-    with patch.object(homogeneity, "_lab", lab_of(camera_to_srgb, whole=False)):
+    with patch.object(homogeneity, "lab", lab_of(camera_to_srgb, whole=False)):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... with Lab by the camera's matrix | {found}"
-    with patch.object(homogeneity, "_lab", lab_of(camera_to_srgb, whole=True)):
+    with patch.object(homogeneity, "lab", lab_of(camera_to_srgb, whole=True)):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... and with whole numbers: Lab in 1/64 | {found}"
 
@@ -113,7 +113,7 @@ def agreement(ours: np.ndarray, theirs: np.ndarray) -> str:
 
 
 def lab_of(camera_to_srgb: np.ndarray, whole: bool) -> Any:
-    """A replacement of `homogeneity._lab`: by a camera's matrix, and as 16-bit LibRaw has it if `whole`."""
+    """A replacement of `homogeneity.lab`: by a camera's matrix, and as 16-bit LibRaw has it if `whole`."""
     matrix = (SRGB_TO_XYZ / SRGB_TO_XYZ.sum(axis=1, keepdims=True)) @ camera_to_srgb
 
     def lab(rgb: Any) -> Any:

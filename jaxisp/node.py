@@ -124,7 +124,8 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
         **static: its static options; lists and arrays become nested tuples.
 
     Raises:
-        KeyError: no stage of that name. TypeError: no such option.
+        KeyError: no stage of that name. TypeError: no such option. ValueError: one of its options cannot be
+            that, such as a `cfa` that it does not work on.
     """
     if isinstance(fn, str):
         if fn not in REGISTRY:
@@ -134,6 +135,12 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
     for option in static:
         if option not in known:
             raise TypeError(f"{fn.__name__} has no option {option!r}; it has {sorted(known) or 'none'}")
+    for option, check in signature(fn).checks:
+        if option in static:
+            try:
+                check(static[option])
+            except ValueError as error:
+                raise ValueError(f"{fn.__name__}: {error}") from None
     changed = {n: _frozen(v) for n, v in sorted(static.items()) if _frozen(v) != known[n]}
     return Stage(fn, name or fn.__name__, tuple(changed.items()))
 

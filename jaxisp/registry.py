@@ -43,6 +43,8 @@ class Signature:
     static: tuple[tuple[str, Hashable], ...]
     domain_in: Domain
     domain_out: Domain
+    checks: tuple[tuple[str, Callable[[Any], Any]], ...] = ()
+    """By static option annotated as `Annotated[T, check]`: what raises ValueError where a value is none."""
 
 
 @functools.cache
@@ -61,7 +63,9 @@ def signature(fn: Callable[..., jax.Array]) -> Signature:
         domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
     except (KeyError, AttributeError):
         raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
-    return Signature(hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out)
+    checks = tuple((n, hints[n].__metadata__[0]) for n in static if hasattr(hints.get(n), "__metadata__"))
+    own = hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out
+    return Signature(*own, checks)
 
 
 def sections(fn: Callable[..., Any]) -> dict[str, str]:

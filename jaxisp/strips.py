@@ -7,6 +7,7 @@ on the whole of it, between strips.
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
@@ -14,6 +15,7 @@ import jax
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.strips import ROWS, in_strips
+from jaxisp.cfa import size
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Stage, group_by
 from jaxisp.stages.demosaic.strips import reach as demosaic_reach
 
@@ -30,10 +32,21 @@ _POINTWISE = (
 )  # fmt: skip
 _DEMOSAICKERS = tuple(
     f"demosaic_{name}"
-    for name in ("ahd", "bilinear", "edge_aware", "hamilton_adams", "hibbard", "malvar", "menon", "vng")
+    for name in (
+        "ahd",
+        "bilinear",
+        "edge_aware",
+        "hamilton_adams",
+        "hibbard",
+        "malvar",
+        "markesteijn",
+        "menon",
+        "normalized_convolution",
+        "vng",
+    )
 )
 _ENCODERS = ("jpeg", "jpeg_photoshop", "jpeg_tables")
-_BLOCK, _CELL = 16, 2  # rows: a strip of blocks or of a mosaic's cells begins where one does
+_BLOCK = 16  # rows: a strip of blocks, or of a mosaic's cells, begins where one does
 _BLOCKS = 31
 """Of an encoder: to the far end of the next 16 x 16 block, from which chroma is interpolated."""
 
@@ -110,11 +123,20 @@ def parts(nodes: Iterable[Node]) -> Iterator[tuple[tuple[Node, ...], int | None,
     for alone, group in itertools.groupby(nodes, lambda n: reach(n) is None or _encodes(n)):
         together = tuple(group)
         for some in [(n,) for n in together] if alone else [together]:
-            yield some, _total(some), _BLOCK if _encodes(some[0]) else _CELL
+            yield some, _total(some), _unit(some)
 
 
 def _encodes(node: Node) -> bool:
     return any(s.fn.__name__ in _ENCODERS for s in node.stages())
+
+
+def _unit(nodes: Iterable[Node]) -> int:
+    """Rows of a block of what nodes work on: of the encoder's blocks and of the mosaics' cells."""
+    rows = [2]
+    for node in nodes:
+        rows += [_BLOCK] * _encodes(node)
+        rows += [size(str(s.options["cfa"])) for s in node.stages() if "cfa" in s.options]
+    return math.lcm(*rows)
 
 
 def _flat(node: Node) -> Iterator[Node]:
@@ -129,7 +151,7 @@ def _flat(node: Node) -> Iterator[Node]:
 def _in_strips(part: Chain, params: Params, image: jax.Array, rows: int) -> jax.Array:
     far = _total(part.nodes)
     assert far is not None, "only these are put into a part"
-    unit = _BLOCK if _encodes(part) else _CELL
+    unit = _unit(part.nodes)
     return in_strips(lambda strip: part.apply(params, strip, None), image, far, rows=rows, unit=unit)
 
 

@@ -12,6 +12,7 @@ from jaxisp.testing import smooth_image
 
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},
+    "demosaic_markesteijn": {"passes": 1},
     "unsharp_mask": {"radius": 3},
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},
@@ -71,7 +72,9 @@ def test_no_option_is_new():
         "demosaic_hamilton_adams": "cfa",
         "demosaic_hibbard": "cfa",
         "demosaic_malvar": "cfa",
+        "demosaic_markesteijn": "cfa passes",
         "demosaic_menon": "cfa refining",
+        "demosaic_normalized_convolution": "cfa",
         "demosaic_vng": "cfa",
         "jpeg": jpeg,
         "jpeg_photoshop": "subsampling",

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp import cfa as bayer
+from jaxisp import cfa as filters
 from jaxisp.arrays.linear import scaled
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
@@ -43,7 +43,7 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
 
 
 @register
-def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGGB") -> Mosaic:
+def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: filters.Cfa = "RGGB") -> Mosaic:
     """Multiply each photosite by the gain of its colour.
 
     `y = gains_c * x`, with c the colour of the photosite, not clipped.
@@ -51,7 +51,7 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGG
     Args:
         params: gains of R, G, B; both greens have the same.
         image: (H, W) linear light, black level subtracted, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
@@ -64,7 +64,7 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGG
     Source: Jaroensri et al. 2019, section 3.
     """
     r, g, b = params.gains.astype(image.dtype)
-    return image * bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), r, g, b)
+    return image * filters.select(filters.masks((image.shape[0], image.shape[1]), cfa), r, g, b)
 
 
 @parameters

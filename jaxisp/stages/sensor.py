@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp import cfa as bayer
+from jaxisp import cfa as filters
 from jaxisp.arrays.linear import linear_call, pointwise, scaled
 from jaxisp.arrays.planes import planes
 from jaxisp.arrays.safe_math import clip_through, round_through, straight_through
@@ -15,14 +15,14 @@ from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
 
 
 @register
-def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
+def mosaic(image: LinearRGB, *, cfa: filters.Cfa = "RGGB") -> Mosaic:
     """Keep one colour at each photosite.
 
-    `y = x_c`, with c the colour of the photosite in the Bayer pattern.
+    `y = x_c`, with c the colour of the photosite in the pattern.
 
     Args:
         image: (H, W, 3) linear light, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
@@ -34,7 +34,7 @@ def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
 
     Source: Jaroensri et al. 2019, section 3; Bayer 1976 (US 3 971 065).
     """
-    return bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), *planes(image))
+    return filters.select(filters.masks((image.shape[0], image.shape[1]), cfa), *planes(image))
 
 
 @parameters
@@ -225,7 +225,7 @@ class GreenImbalance:
 
 
 @register
-def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: str = "RGGB") -> Mosaic:
+def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: filters.Bayer = "RGGB") -> Mosaic:
     """Give the two greens different gains.
 
     `y = x (1 + difference / 2)` at greens in red's rows, `x (1 - difference / 2)` at those in blue's rows;
@@ -234,20 +234,21 @@ def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: str = "RGGB")
     Args:
         params: difference; 0 leaves the mosaic as it is, the opposite sign undoes it to first order.
         image: (H, W) linear light, black level subtracted, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
 
     Raises:
-        ValueError: unknown pattern.
+        ValueError: cfa is not a Bayer pattern: X-Trans has no such two greens.
 
     Gradient: exact.
 
     Source: DNG Specification 1.6 (BayerGreenSplit).
     """
-    _, green, _ = bayer.masks((image.shape[0], image.shape[1]), cfa)
-    in_red_rows = jax.lax.broadcasted_iota(jnp.int32, image.shape, 0) % 2 == bayer.site(cfa, "R")[0]
+    filters.check_bayer(cfa)
+    _, green, _ = filters.masks((image.shape[0], image.shape[1]), cfa)
+    in_red_rows = jax.lax.broadcasted_iota(jnp.int32, image.shape, 0) % 2 == filters.site(cfa, "R")[0]
     half = (0.5 * params.difference).astype(image.dtype)
     return image * jnp.where(green, 1 + jnp.where(in_red_rows, half, -half), 1)
 

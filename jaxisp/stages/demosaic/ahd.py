@@ -10,7 +10,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad
 from jaxisp.arrays.strips import in_strips_on_cpu
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -32,7 +32,7 @@ from jaxisp.stages.demosaic.median import smooth_differences
 
 @register
 def demosaic_ahd(
-    image: Mosaic, *, cfa: str = "RGGB", delta: int = 2, median_passes: int = 0, variant: str = "paper"
+    image: Mosaic, *, cfa: Bayer = "RGGB", delta: int = 2, median_passes: int = 0, variant: str = "paper"
 ) -> CameraRGB:
     """Interpolate along rows and along columns, and keep at each pixel the one that looks more homogeneous.
 
@@ -64,7 +64,7 @@ def demosaic_ahd(
     Source: Hirakawa & Parks 2005, with the green filter [-1, 2, 2, 2, -1] / 4; the variant: Coffin's
     dcraw, as LibRaw 0.22 has it.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     if delta < 1:
         raise ValueError(f"demosaic_ahd: delta must be 1 or more, got {delta}")
     if variant not in ("paper", "libraw"):

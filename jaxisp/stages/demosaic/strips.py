@@ -2,7 +2,18 @@
 
 from typing import Any
 
-from jaxisp.stages.demosaic import ahd, bilinear, edge_aware, hamilton_adams, hibbard, malvar, menon, vng
+from jaxisp.stages.demosaic import (
+    ahd,
+    bilinear,
+    edge_aware,
+    hamilton_adams,
+    hibbard,
+    malvar,
+    markesteijn,
+    menon,
+    normalized_convolution,
+    vng,
+)
 
 _MODULES = (bilinear, edge_aware, hamilton_adams, hibbard, malvar, menon, vng)
 _REACH = {f"demosaic_{m.__name__.rpartition('.')[2]}": m.REACH for m in _MODULES}
@@ -17,4 +28,8 @@ def reach(name: str, **static: Any) -> int:
     """
     if name == "demosaic_ahd":
         return ahd.reach(static.get("delta", 2), static.get("median_passes", 0))
+    if name == "demosaic_markesteijn":
+        return markesteijn.reach(static.get("passes", 3))
+    if name == "demosaic_normalized_convolution":
+        return normalized_convolution.reach(static.get("cfa", "RGGB"))
     return _REACH[name]
