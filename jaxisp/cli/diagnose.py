@@ -77,6 +77,8 @@ def _warn(report: dict[str, Any]) -> None:
         print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
     for pair in report["pairs"]["left_out"]:
         print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
+    for pair in report["pairs"]["encoder_not_modelled"]:
+        print(f"jaxisp: {pair['name']}: its JPEG encoder is not modelled: {pair['reason']}", file=sys.stderr)
 
 
 def _print(report: dict[str, Any]) -> None:

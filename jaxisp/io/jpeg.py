@@ -27,7 +27,7 @@ class Jpeg:
 
     Args:
         pixels: (H, W, 3) uint8 as stored, before `orientation`; sRGB where there was a profile.
-        luma_table, chroma_table: (8, 8) quantisation steps, rows are vertical frequencies.
+        tables: (3, 8, 8) quantisation steps of the components, rows are vertical frequencies.
         subsampling: "4:4:4", "4:2:2", "4:2:0", "4:4:0", "4:1:1", "4:1:0", or the factors as "2x2,1x1,...".
         orientation: EXIF 1 to 8.
         icc: the colour profile as it stands in the file, or None.
@@ -36,8 +36,7 @@ class Jpeg:
     """
 
     pixels: np.ndarray
-    luma_table: np.ndarray
-    chroma_table: np.ndarray
+    tables: np.ndarray
     subsampling: str
     orientation: int
     icc: bytes | None
@@ -47,6 +46,16 @@ class Jpeg:
     iso: float | None
     make: str
     model: str
+
+    @property
+    def luma_table(self) -> np.ndarray:
+        """(8, 8) the first component's."""
+        return self.tables[0]
+
+    @property
+    def chroma_table(self) -> np.ndarray:
+        """(8, 8) the second component's; the third may have another."""
+        return self.tables[1]
 
     @property
     def image(self) -> np.ndarray:
@@ -93,12 +102,10 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     converted = False
     if icc and to_srgb:
         pixels, converted = profile_to_srgb(pixels, icc, name)
-    luma, chroma = _tables(picture, name)
     exif = _exif(picture)
     return Jpeg(
         pixels=pixels,
-        luma_table=luma,
-        chroma_table=chroma,
+        tables=_tables(picture, name),
         subsampling=frame.subsampling,
         icc=icc,
         converted=converted,
@@ -143,12 +150,16 @@ def why_not(error: Exception) -> str:
     return "its header cannot be read" if isinstance(error, UnidentifiedImageError) else str(error)
 
 
-def _tables(picture: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _tables(picture: Any, name: str) -> np.ndarray:
     try:
-        luma, chroma = (picture.quantization[picture.layer[i][3]] for i in (0, 1))
-    except (KeyError, IndexError) as error:
+        tables = np.array([picture.quantization[picture.layer[i][3]] for i in range(3)]).reshape(3, 8, 8)
+    except (KeyError, IndexError, ValueError) as error:
         raise InputError(f"{name}: is a damaged JPEG (a quantisation table is missing)") from error
-    return np.array(luma).reshape(8, 8), np.array(chroma).reshape(8, 8)
+    if tables.min() < 1:
+        raise InputError(
+            f"{name}: is a damaged JPEG (a quantisation step of {tables.min()}, expected 1 or more)"
+        )
+    return tables
 
 
 def _color_space(frame: Frame, picture: Any) -> str:
