@@ -4,12 +4,22 @@ import io
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 
 from jaxisp.encoder import encoder_of, no_encoder
 from jaxisp.gap.objective.pixels import as_stored
 from jaxisp.io.jpeg import decode_jpeg
 from tests.conftest import smooth_image
+from tests.io.profiles import (
+    COLORANTS,
+    GAMMA_1,
+    SRGB_CURVE,
+    grey_tables,
+    parametric,
+    power,
+    profile,
+    sampled,
+)
 
 PICTURE = np.rint(smooth_image((40, 56, 3)) * 255).astype(np.uint8)
 
@@ -46,8 +56,30 @@ def test_it_does_to_the_picture_what_the_file_did(options, kind):
     np.testing.assert_array_equal(np.rint(stored * 255), file.pixels)
 
 
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+@pytest.mark.parametrize("name", ["Display P3", "Adobe RGB (1998)", "ITU-R BT.2020"])
+@pytest.mark.parametrize("curve", [power(2.2), parametric(*SRGB_CURVE)], ids=["gamma", "sRGB"])
+@pytest.mark.optimised
+def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
+    """The file is converted by littleCMS, coded by libjpeg, and read back."""
+    icc = profile(name, COLORANTS[name], curve)
+    spaces = ImageCms.createProfile("sRGB"), ImageCms.ImageCmsProfile(io.BytesIO(icc))
+    there = ImageCms.buildTransform(*spaces, "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC)
+    own = np.asarray(ImageCms.applyTransform(Image.fromarray(PICTURE), there))
+    file = coded(own, quality=88, subsampling=subsampling, icc_profile=icc)
+    assert encoder_of(file)[0].fn.__name__ == "jpeg_file" and no_encoder(file) is None
+    stored = as_stored((PICTURE / 255).astype(np.float32), file)
+    off = np.abs(stored * 255 - file.pixels)
+    assert off.mean() < 0.1, off.mean()
+
+
 def test_what_is_not_modelled_is_said():
-    data = bytearray(io.BytesIO().getvalue())
+    icc = profile("grey", COLORANTS["sRGB"], GAMMA_1, connection=b"Lab ", tables=grey_tables())
+    file = coded(icc_profile=icc)
+    assert file.converted and encoder_of(file) is None and "made of tables" in no_encoder(file)
+    np.testing.assert_array_equal(as_stored(np.full((8, 8, 3), 0.5, np.float32), file) * 255, 128)
+    falling = profile("down", COLORANTS["Display P3"], sampled(np.linspace(1, 0, 9)))
+    assert "do not rise" in no_encoder(coded(icc_profile=falling))
     out = io.BytesIO()
     Image.fromarray(PICTURE).save(out, "JPEG", subsampling="4:2:0")
     data = bytearray(out.getvalue())

@@ -8,17 +8,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from jaxisp.errors import InputError
+from jaxisp.io.color_space import ColorSpace
+from jaxisp.io.exif import exif_of, new_exif
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
+from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
                 0xCB: "lossless"}  # fmt: skip
-_ORIENTATION, _MAKE, _MODEL, _EXIF_IFD, _ISO = 274, 271, 272, 34665, 34855
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,10 @@ class Jpeg:
         subsampling: "4:4:4", "4:2:2", "4:2:0", "4:4:0", "4:1:1", "4:1:0", or the factors as "2x2,1x1,...".
         orientation: EXIF 1 to 8.
         icc: the colour profile as it stands in the file, or None.
-        converted: whether the pixels were converted from `icc` to sRGB.
+        converted: whether the pixels were converted to sRGB, from `icc` or what else the file states.
         color_space: "YCbCr", or "RGB" where the file stores it without a luma.
+        iso: None where it is not stated.
+        space: what the pixels were converted from; None of sRGB, and of profiles made of tables.
     """
 
     pixels: np.ndarray
@@ -46,6 +50,7 @@ class Jpeg:
     iso: float | None
     make: str
     model: str
+    space: ColorSpace | None = None
 
     @property
     def luma_table(self) -> np.ndarray:
@@ -79,10 +84,12 @@ def read_jpeg(path: PathLike, *, to_srgb: bool = True) -> Jpeg:
 
     Args:
         path: the file.
-        to_srgb: convert pixels with another colour profile to sRGB (relative colorimetric).
+        to_srgb: convert pixels of another colour space, stated by a profile or by EXIF, to sRGB (relative
+            colorimetric, cut to its gamut).
 
     Raises:
-        InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep.
+        InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep; its profile
+            cannot be used.
     """
     return decode_jpeg(read_bytes(path), str(path), to_srgb=to_srgb)
 
@@ -99,10 +106,9 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     check_pixels(frame.width, frame.height, len(data), name)
     picture, pixels = _decode(data, name)
     icc = picture.info.get("icc_profile")
-    converted = False
-    if icc and to_srgb:
-        pixels, converted = profile_to_srgb(pixels, icc, name)
-    exif = _exif(picture)
+    exif, converted, space = exif_of(picture), False, None
+    if to_srgb:
+        pixels, converted, space = _in_srgb(pixels, icc, exif.space, name)
     return Jpeg(
         pixels=pixels,
         tables=_tables(picture, name),
@@ -111,7 +117,11 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
         converted=converted,
         color_space=_color_space(frame, picture),
         progressive=frame.marker in (0xC2, 0xCA),
-        **exif,
+        orientation=exif.orientation,
+        iso=exif.iso,
+        make=exif.make,
+        model=exif.model,
+        space=space,
     )
 
 
@@ -138,7 +148,7 @@ def _decode(data: bytes, name: str) -> tuple[Any, np.ndarray]:
             picture.load()
     except Image.DecompressionBombError as error:
         raise InputError(f"{name}: says it is larger than any camera's picture; it is damaged") from error
-    except (OSError, ValueError, SyntaxError, struct.error, MemoryError) as error:
+    except Exception as error:  # a parser on arbitrary bytes: any error means the same
         raise InputError(f"{name}: is a damaged or truncated JPEG ({why_not(error)})") from error
     if picture.mode != "RGB":
         raise InputError(f"{name}: is a {picture.mode} JPEG, expected RGB")
@@ -146,8 +156,9 @@ def _decode(data: bytes, name: str) -> tuple[Any, np.ndarray]:
 
 
 def why_not(error: Exception) -> str:
-    """What Pillow says, without the address of the object that it was given."""
-    return "its header cannot be read" if isinstance(error, UnidentifiedImageError) else str(error)
+    """What Pillow says where it means to say it, without the address of the object that it was given."""
+    said = isinstance(error, (OSError, ValueError, SyntaxError)) and str(error)
+    return said if said and not isinstance(error, UnidentifiedImageError) else "a part of it cannot be read"
 
 
 def _tables(picture: Any, name: str) -> np.ndarray:
@@ -167,47 +178,16 @@ def _color_space(frame: Frame, picture: Any) -> str:
     return "RGB" if transform == 0 or (transform is None and bytes(frame.ids) == b"RGB") else "YCbCr"
 
 
-def _exif(picture: Any) -> dict[str, Any]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            exif = picture.getexif()
-            inner = exif.get_ifd(_EXIF_IFD)
-    except Exception:  # damaged EXIF costs the picture nothing
-        exif, inner = {}, {}
-    iso = inner.get(_ISO)
-    iso = iso[0] if isinstance(iso, tuple) and iso else iso
-    return {
-        "orientation": orientation_of(exif),
-        "iso": float(iso) if isinstance(iso, (int, float)) and iso > 0 else None,
-        "make": _text(exif.get(_MAKE)),
-        "model": _text(exif.get(_MODEL)),
-    }
-
-
-def orientation_of(exif: Any) -> int:
-    """EXIF orientation, 1 where there is none or it is not 1 to 8."""
-    value = exif.get(_ORIENTATION)
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
-def _text(value: Any) -> str:
-    return value.replace("\0", " ").strip() if isinstance(value, str) else ""
-
-
-def profile_to_srgb(pixels: np.ndarray, icc: bytes, name: str) -> tuple[np.ndarray, bool]:
-    """(H, W, 3) uint8 pixels in sRGB, and whether they had to be changed."""
-    try:
-        profile = ImageCms.getOpenProfile(io.BytesIO(icc))
-        if "srgb" in ImageCms.getProfileDescription(profile).lower():
-            return pixels, False
-        transform = ImageCms.buildTransform(
-            profile, ImageCms.createProfile("sRGB"), "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
-        )
-        out = ImageCms.applyTransform(Image.fromarray(pixels), transform)
-    except (ImageCms.PyCMSError, OSError, ValueError) as error:
-        raise InputError(f"{name}: has a colour profile that cannot be used ({error})") from error
-    return np.asarray(out), True
+def _in_srgb(
+    pixels: np.ndarray, icc: bytes | None, stated: ColorSpace | None, name: str
+) -> tuple[np.ndarray, bool, ColorSpace | None]:
+    """Pixels in sRGB, whether they had to be changed, and from which space where that is no table."""
+    space = profile_space(icc, name) if icc else stated
+    if space is None and icc:
+        return by_tables(pixels, icc, name), True, None
+    if space is None or space.is_srgb:
+        return pixels, False, None
+    return np.rint(255 * space.srgb(pixels)).astype(np.uint8), True, space
 
 
 def write_jpeg(
@@ -218,7 +198,7 @@ def write_jpeg(
     subsampling: str = "4:2:0",
     qtables: Sequence[np.ndarray] | None = None,
     orientation: int = 1,
-    iso: int | None = None,
+    iso: float | None = None,
     make: str = "",
     model: str = "",
 ) -> None:
@@ -233,7 +213,7 @@ def write_jpeg(
         orientation, iso, make, model: for the EXIF.
 
     Raises:
-        InputError: NaN in the image, or the file cannot be written.
+        InputError: NaN in the image, an ISO over 4294967295, or the file cannot be written.
     """
     data = encode_jpeg(
         to_bytes(image, str(path)),
@@ -256,18 +236,14 @@ def encode_jpeg(
     qtables: Sequence[np.ndarray] | None = None,
     *,
     orientation: int = 1,
-    iso: int | None = None,
+    iso: float | None = None,
     make: str = "",
     model: str = "",
 ) -> bytes:
     """The bytes of a JPEG of (H, W, 3) uint8 pixels; see `write_jpeg`."""
     if subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
         raise ValueError(f"subsampling {subsampling!r} is not one of 4:4:4, 4:2:2, 4:2:0")
-    exif = Image.Exif()
-    values = {_ORIENTATION: orientation, _MAKE: make, _MODEL: model}
-    exif.update({code: value for code, value in values.items() if value})
-    if iso:
-        exif.get_ifd(_EXIF_IFD)[_ISO] = int(iso)
+    exif = new_exif(orientation, iso, make, model)
     options: dict[str, Any] = {"quality": quality, "subsampling": subsampling, "exif": exif}
     if qtables is not None:
         options["qtables"] = [np.asarray(t).astype(int).ravel().tolist() for t in qtables]

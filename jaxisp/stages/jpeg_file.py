@@ -34,8 +34,8 @@ class JpegFile:
         doc="of each component, natural order, rounded",
     )  # fmt: skip
     curve: Leaf = param(
-        _nested(srgb_to_linear(np.arange(256) / 255)), (0.0, 1.0), "1",
-        doc="linear light of each code of the file's colour space, rising",
+        _nested(srgb_to_linear(np.linspace(0, 1, 511))), (0.0, 1.0), "1",
+        doc="linear light of the codes of the file's colour space and half-way between, rising",
     )  # fmt: skip
     to_file: Leaf = param(_nested(np.eye(3)), (-4.0, 4.0), "1", doc="linear sRGB to the file's linear RGB")
     from_file: Leaf = param(_nested(np.eye(3)), (-4.0, 4.0), "1", doc="the way back")
@@ -52,9 +52,9 @@ def jpeg_file(
 ) -> EncodedRGB:
     """JPEG with a table for each component, of Y'CbCr or of RGB, in the colour space of the file.
 
-    The picture is converted to the file's colour space, rounded to 8 bits there, coded and decoded as
-    libjpeg does it (`q * round(c / q)`, half away from zero), converted back to sRGB, cut to its gamut and
-    rounded.
+    The picture is converted to the file's colour space as littleCMS does it, rounded to 8 bits there, coded
+    and decoded as libjpeg does it (`q * round(c / q)`, half away from zero), converted back to sRGB, cut to
+    its gamut and rounded.
 
     Args:
         params: the (3, 8, 8) tables in natural order; the file's colour space.
@@ -73,7 +73,7 @@ def jpeg_file(
         chroma sampling. Tables: of a staircase with soft edges in place of rounding.
 
     Source: ITU-T T.81 (1992); libjpeg 6b and libjpeg-turbo (islow DCT, fancy upsampling); ICC.1:2022,
-        annex F (matrix and curves).
+        annex F (matrix and curves); littleCMS 2 (8-bit matrix shaper).
     """
     if subsampling not in SAMPLING:
         raise ValueError(f"jpeg_file: subsampling must be one of {', '.join(SAMPLING)}, got {subsampling!r}")
@@ -86,8 +86,9 @@ def jpeg_file(
     curve = params.curve.astype(exact)
     codes = 255 * given
     if converts:
-        light = apply_matrix(params.to_file, srgb_eotf(given))
-        codes = jnp.interp(clip(light, 0, 1), curve, jnp.arange(256, dtype=exact))
+        light = _in_14_bits(apply_matrix(_in_14_bits(params.to_file), _in_14_bits(srgb_eotf(given))))
+        # exact where a code gives way to the next, as half codes are nodes
+        codes = jnp.interp(clip(light, 0, 1), curve, jnp.arange(511, dtype=exact)) / 2
     red, green, blue = planes(materialize(round_through(codes)))
     tables = clip_through(round_through(params.tables), 1, 65535).astype(exact)
     decoded = interleaved(_coded((red, green, blue), tables, subsampling, components))
@@ -103,8 +104,13 @@ def _coded(rgb: Planes, tables: jax.Array, subsampling: str, components: str) ->
     return ycbcr_to_rgb(*materialize(compress_each(materialize(rgb_to_ycbcr(rgb)), tables, subsampling)))
 
 
+def _in_14_bits(x: jax.Array) -> jax.Array:
+    """As littleCMS holds light and matrices for pictures of 8 bits."""
+    return round_through(2.0**14 * x) * 2.0**-14
+
+
 def _light(curve: jax.Array, codes: jax.Array) -> jax.Array:
-    """The curve at codes in 0..255, exact at whole ones; its slope is that of the line to the next."""
-    below = jnp.minimum(jnp.floor(codes), 254).astype(jnp.int32)
-    share = codes - below
+    """The curve at codes in 0..255, exact at whole ones; its slope is that of the line to the next node."""
+    below = jnp.minimum(jnp.floor(2 * codes), 509).astype(jnp.int32)
+    share = 2 * codes - below
     return curve[below] * (1 - share) + curve[below + 1] * share

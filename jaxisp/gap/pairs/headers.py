@@ -54,4 +54,5 @@ def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[
 def _sampling(pair: Loaded) -> str:
     if pair.jpeg is None:
         return "no JPEG"
-    return f"JPEG, {pair.jpeg.subsampling}" + ", RGB" * (pair.jpeg.color_space == "RGB")
+    kind = f"JPEG, {pair.jpeg.subsampling}" + ", RGB" * (pair.jpeg.color_space == "RGB")
+    return kind + ", in another colour space than sRGB" * pair.jpeg.converted
