@@ -133,7 +133,7 @@ def new_exif(orientation: int = 1, iso: float | None = None, make: str = "", mod
     for code, text in ((_MAKE, make), (_MODEL, model)):
         if text:
             table[code] = text if text.isascii() else text.encode()
-    if iso:
+    if iso is not None and iso != 0:
         if not 0.5 <= iso < 2**32 - 0.5:
             raise InputError(f"ISO {iso:g} cannot be written, expected 1 to {2**32 - 1}")
         whole, inner = round(iso), table.get_ifd(_EXIF_IFD)

@@ -17,6 +17,7 @@ from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
+from jaxisp.io.silence import silent_libraries
 from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
@@ -209,22 +210,19 @@ def write_jpeg(
         image: (H, W, 3) uint8, or encoded float in [0, 1] that is rounded.
         quality: 1 to 100, for libjpeg's own tables.
         subsampling: "4:4:4", "4:2:2" or "4:2:0".
-        qtables: luma and chroma (8, 8) tables in place of those.
+        qtables: luma and chroma (8, 8) tables in place of those, or one for each component; steps from 1 to
+            65535.
         orientation, iso, make, model: for the EXIF.
 
     Raises:
         InputError: NaN in the image, an ISO over 4294967295, or the file cannot be written.
     """
-    data = encode_jpeg(
-        to_bytes(image, str(path)),
-        quality,
-        subsampling,
-        qtables,
-        orientation=orientation,
-        iso=iso,
-        make=make,
-        model=model,
-    )
+    pixels = to_bytes(image, str(path))
+    about: dict[str, Any] = {"orientation": orientation, "iso": iso, "make": make, "model": model}
+    try:
+        data = encode_jpeg(pixels, quality, subsampling, qtables, **about)
+    except InputError as error:
+        raise InputError(f"{path}: not written: {error}") from error
     with atomic_write(path) as file:
         file.write(data)
 
@@ -249,7 +247,8 @@ def encode_jpeg(
         options["qtables"] = [np.asarray(t).astype(int).ravel().tolist() for t in qtables]
         del options["quality"]
     out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "JPEG", **options)
+    with silent_libraries():  # libjpeg's word on steps over 255
+        Image.fromarray(pixels).save(out, "JPEG", **options)
     return out.getvalue()
 
 
