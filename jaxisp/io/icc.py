@@ -67,7 +67,7 @@ def matrix_profile(data: bytes) -> ColorSpace | None:
     colorants = np.stack([_xyz(tags[c + b"XYZ"]) for c in (b"r", b"g", b"b")], axis=1)
     if abs(np.linalg.det(colorants)) < 1e-5:
         raise ValueError("colorants that span no space")
-    red, green, blue = (_curve(tags[c + b"TRC"]) for c in (b"r", b"g", b"b"))
+    red, green, blue = (_rising(_curve(tags[c + b"TRC"])) for c in (b"r", b"g", b"b"))
     return of_xyz(colorants, (red, green, blue), _D50)
 
 
@@ -120,6 +120,13 @@ def _curve(data: bytes) -> Curve:
     raise ValueError(f"a curve of type {_name(data[:4])}")
 
 
+def _rising(curve: Curve) -> Curve:
+    first, last = curve(np.array([0.0, 1.0]))
+    if not first < last:
+        raise ValueError("a curve that does not rise from black to white")
+    return curve
+
+
 def _sampled(values: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.interp(x, np.linspace(0, 1, len(values)), values)
 
@@ -134,5 +141,6 @@ def _parametric(kind: int, parameters: np.ndarray, x: np.ndarray) -> np.ndarray:
         c, d = 0.0, -b / a if a else 0.0
     if kind == 3:
         e = f = 0.0
-    above = np.maximum(a * x + b, 0) ** g + e
+    with np.errstate(all="ignore"):  # what is no number is found by who asks for a curve that rises
+        above = np.maximum(a * x + b, 0) ** g + e
     return np.clip(np.where(x >= d, above, c * x + f), 0, 1)

@@ -140,7 +140,7 @@ def _in_srgb(
             )
         if space is None:
             pixels = by_tables(pixels, icc, str(path))
-    whole = pixels.dtype.kind == "u"
+    whole = pixels.dtype in (np.uint8, np.uint16)
     if space is None or space.is_srgb or not whole:
         pixels = _to_unit(pixels, path, str(pixels.dtype), linear)
     return pixels if space is None or space.is_srgb else space.srgb(pixels, linear=linear)

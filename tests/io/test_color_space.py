@@ -210,6 +210,9 @@ def test_an_empty_profile_after_the_pixels(tmp_path):
         (profile("flat", (COLORANTS["sRGB"][0],) * 3, GAMMA_1), "span no space"),
         (profile("odd", COLORANTS["sRGB"], parametric(9, [1.0])), "parametric curve of type 9"),
         (profile("cut", COLORANTS["sRGB"], b"curv" + struct.pack(">II", 0, 900)), "cut short"),
+        (profile("falls", COLORANTS["sRGB"], sampled([1, 0])), "does not rise"),
+        (profile("none", COLORANTS["sRGB"], power(0)), "does not rise"),
+        (profile("steep", COLORANTS["sRGB"], parametric(3, (-900, 9, 9, 0, 0))), "does not rise"),
         (b"no profile", "no ICC profile"),
     ],
 )
