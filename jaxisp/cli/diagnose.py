@@ -77,7 +77,7 @@ def _warn(report: dict[str, Any]) -> None:
         print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
     for pair in report["pairs"]["left_out"]:
         print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
-    for pair in report["pairs"]["encoder_not_modelled"]:
+    for pair in report["pairs"].get("encoder_not_modelled", ()):
         print(f"jaxisp: {pair['name']}: its JPEG encoder is not modelled: {pair['reason']}", file=sys.stderr)
 
 

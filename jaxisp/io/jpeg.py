@@ -188,7 +188,9 @@ def _in_srgb(
         return by_tables(pixels, icc, name), True, None
     if space is None or space.is_srgb:
         return pixels, False, None
-    return np.rint(255 * space.srgb(pixels)).astype(np.uint8), True, space
+    found = space.srgb(pixels)
+    np.rint(np.multiply(found, 255, out=found), out=found)
+    return found.astype(np.uint8), True, space
 
 
 def write_jpeg(
