@@ -9,7 +9,7 @@ from PIL import Image, ImageCms
 from jaxisp.encoder import encoder_of, no_encoder
 from jaxisp.gap.objective.pixels import as_stored
 from jaxisp.io.jpeg import decode_jpeg
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.io.profiles import (
     COLORANTS,
     GAMMA_1,
