@@ -31,9 +31,11 @@ def add_commands(commands: Any) -> None:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.gap.report.page import plain
-    from jaxisp.io import filled_folder
+    from jaxisp.io import filled_folder, output_file
 
     with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
+        for name in ("report.json", "report.html"):
+            output_file(folder / name)
         found = _diagnosed(arguments, folder)
         _warn(found.report)
         try:

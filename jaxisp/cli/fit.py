@@ -49,10 +49,13 @@ def run(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.fit import prior_from_cameras
-    from jaxisp.fit.journal import beside
+    from jaxisp.fit.journal import beside, in_the_way
     from jaxisp.fit.report import write_report
 
     join(arguments)
+    journal = beside(arguments.out)
+    if blocked := in_the_way(journal):
+        print(f"jaxisp: {blocked}", file=sys.stderr)
     with _places(arguments):
         result = _fitted(arguments)
         if jax.process_index():  # the first writes for all
@@ -62,7 +65,8 @@ def run(arguments: Namespace) -> int:
             prior_from_cameras([result.camera]).save(arguments.recipe)
         if arguments.report:
             write_report(result, arguments.report)
-    beside(arguments.out).unlink(missing_ok=True)
+    if not blocked:
+        journal.unlink(missing_ok=True)
     for pair in result.pairs:
         for note in pair.notes:
             print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
@@ -77,13 +81,15 @@ def run(arguments: Namespace) -> int:
 def _places(arguments: Namespace) -> Iterator[None]:
     """Where results go is tried first: a fault there should not cost a fit."""
     from jaxisp.io import filled_folder, output_file
+    from jaxisp.io.files import filled_file
 
     with ExitStack() as stack:
-        for path in filter(None, (arguments.out, arguments.recipe)):
-            stack.enter_context(filled_folder(Path(path).parent))
-            output_file(path)
+        settings = Path(arguments.dataset, "dataset.toml")
+        stack.enter_context(filled_file(arguments.out, [settings]))
+        if arguments.recipe:
+            stack.enter_context(filled_file(arguments.recipe, [settings, arguments.out]))
         if arguments.report:
-            stack.enter_context(filled_folder(arguments.report))
+            output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
         yield
 
 

@@ -1,5 +1,6 @@
 """`jaxisp recipe`: fitted cameras become what training data are drawn from."""
 
+import os
 from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,9 @@ def _factor(text: str) -> float:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.fit import prior_from_cameras
+    from jaxisp.io.files import check_output
 
+    check_output(arguments.out, set(map(os.path.realpath, arguments.cameras)))
     recipe = prior_from_cameras(
         arguments.cameras,
         spread=arguments.spread,
