@@ -258,7 +258,7 @@ def degrade_files(
     with locked(out):
 
         def done(sample: Sample) -> bool:
-            return resume and _is_written(out, sample, work.note(sample))
+            return resume and is_written(out, sample, work.note(sample))
 
         for degraded in work.run(range(len(work)), outcome, done):
             try:
@@ -300,7 +300,7 @@ def _write(out: Path, degraded: Degraded) -> None:
     write_text(out / f"{stem}.toml", sealed_toml(told.to_toml()))
 
 
-def _is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
+def is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
     """Whether a sample's three files are, to the bit, what was written for the same arguments."""
     path = out / f"{sample.stem}.toml"
     try:

@@ -30,7 +30,10 @@ def read_note(out: Path, name: str) -> dict[str, Any] | None:
         note = _read(out / f"{name}.json")
     except InputError:
         return None
-    return note if note.keys() >= {"bytes", "sha256", "indices"} else None
+    indices = note.get("indices")
+    sound = isinstance(note.get("bytes"), int) and isinstance(note.get("sha256"), str)
+    numbers = isinstance(indices, list) and all(type(i) is int and 0 <= i < 1 << 31 for i in indices)
+    return note if sound and numbers else None
 
 
 def stands(out: Path, name: str) -> bool:
@@ -49,7 +52,13 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     manifest = read_json(path)
     if manifest.get("schema") != SCHEMA:
         raise InputError(f"{path}: has schema {short(manifest.get('schema'))}, expected {SCHEMA}")
-    return _read(path)
+    manifest = _read(path)
+    if type(manifest.get("shards")) is not int or not 1 <= manifest["shards"] <= MOST_SHARDS:
+        raise InputError(f"{path}: has {short(manifest.get('shards'))} shards, expected 1 to {MOST_SHARDS}")
+    for key, kind in (("recipe", str), ("recipe_sha256", str), ("seed", int)):
+        if not isinstance(manifest.get(key), kind):
+            raise InputError(f"{path}: says no {key}")
+    return manifest
 
 
 def _read(path: Path) -> dict[str, Any]:
