@@ -16,7 +16,16 @@ import tomli_w
 
 from jaxisp.errors import InputError
 from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
-from jaxisp.io.files import MOST_NAME, check_new, check_output, find_images, parse_toml, write_new, write_text
+from jaxisp.io.files import (
+    MOST_NAME,
+    check_new,
+    check_output,
+    find_images,
+    parse_toml,
+    real_paths,
+    write_new,
+    write_text,
+)
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
 from jaxisp.recipe import Recipe, check_photographs, check_traces
@@ -109,7 +118,7 @@ class Work:
     @functools.cached_property
     def inputs_real(self) -> frozenset[str]:
         """The inputs without links, which no output may replace."""
-        return frozenset(map(os.path.realpath, self.paths))
+        return real_paths(self.paths)
 
     def sample(self, k: int) -> Sample:
         path, version = self.paths[k // self.count], k % self.count

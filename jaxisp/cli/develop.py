@@ -1,6 +1,5 @@
 """`jaxisp develop`: render a RAW file."""
 
-import os
 from argparse import Namespace
 from typing import Any
 
@@ -22,12 +21,12 @@ def run(arguments: Namespace) -> int:
     from jaxisp.camera import develop
     from jaxisp.errors import InputError
     from jaxisp.io import read_raw, write_png
-    from jaxisp.io.files import check_output
+    from jaxisp.io.files import check_output, real_paths
     from jaxisp.recipe import Recipe, check_traces
 
     if not arguments.out.lower().endswith(".png"):
         raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
-    check_output(arguments.out, {os.path.realpath(arguments.raw)})
+    check_output(arguments.out, real_paths([arguments.raw]))
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     if camera:
         check_traces(camera)

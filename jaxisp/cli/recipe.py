@@ -1,6 +1,5 @@
 """`jaxisp recipe`: fitted cameras become what training data are drawn from."""
 
-import os
 from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
@@ -36,9 +35,9 @@ def _factor(text: str) -> float:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.fit import prior_from_cameras
-    from jaxisp.io.files import check_output
+    from jaxisp.io.files import check_output, real_paths
 
-    check_output(arguments.out, set(map(os.path.realpath, arguments.cameras)))
+    check_output(arguments.out, real_paths(arguments.cameras))
     recipe = prior_from_cameras(
         arguments.cameras,
         spread=arguments.spread,

@@ -88,8 +88,8 @@ def open_input(path: PathLike) -> io.BufferedReader:
 
 
 def _check_plain(path: Path, mode: int) -> None:
-    if stat.S_ISDIR(mode) and not os.access(path, os.R_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    if stat.S_ISDIR(mode):
+        os.scandir(path).close()  # says why it was not listed
     if kind := kind_of(mode):
         raise InputError(f"{path}: is {kind}, expected a file")
 
@@ -252,9 +252,9 @@ def atomic_write(path: PathLike) -> Iterator[IO[bytes]]:
 
 
 def write_text(path: PathLike, text: str) -> None:
-    """A whole file of UTF-8 text; see `atomic_write`."""
+    """A whole file of UTF-8 text, with what is none in names as `\\udcff`; see `atomic_write`."""
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))
 
 
 def write_new(path: PathLike, text: str, own: Callable[[str], bool] = lambda before: False) -> None:
@@ -364,13 +364,13 @@ def output_file(path: PathLike, inputs: Iterable[PathLike] = ()) -> Path:
         InputError: it cannot be written, it is one of the inputs, or something stands there that is not
             replaced.
     """
-    path = check_output(path, {os.path.realpath(given) for given in inputs})
+    path = check_output(path, real_paths(inputs))
     output_folder(path.parent)
     return path
 
 
 def check_output(path: PathLike, inputs: Container[str] = ()) -> Path:
-    """A file that may be written; InputError where it is an input (by `os.path.realpath`), or no file."""
+    """A file that may be written; InputError where it is an input, by `real_paths`, or no file."""
     path = sound_path(path)
     if os.path.isdir(path):
         raise InputError(f"{path}: is a folder, expected the name of a file")
@@ -379,6 +379,11 @@ def check_output(path: PathLike, inputs: Container[str] = ()) -> Path:
     if os.path.realpath(path) in inputs:
         raise InputError(f"{path}: is an input, and would be overwritten by a result")
     return path
+
+
+def real_paths(paths: Iterable[PathLike]) -> frozenset[str]:
+    """Paths without links, for `check_output`."""
+    return frozenset(os.path.realpath(path) for path in paths if "\0" not in str(path))
 
 
 @contextlib.contextmanager

@@ -1,6 +1,5 @@
 """A trained run as a denoiser of pictures and files."""
 
-import os
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from flax import nnx
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import check_output, find_images, output_folder
+from jaxisp.io.files import check_output, find_images, output_folder, real_paths
 from jaxisp.io.images import read_image, write_png
 from jaxisp.models.inference import denoise
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
@@ -82,7 +81,7 @@ def denoise_files(
         InputError: no input, the folder cannot be written, or the tile is too small for the network.
     """
     paths, out = find_images(inputs), output_folder(out)
-    given = set(map(os.path.realpath, paths))
+    given = real_paths(paths)
     clock, failed = time.perf_counter(), []
     done: dict[str, Path] = {}
     for path in paths:

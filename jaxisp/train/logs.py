@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     Raises:
         InputError: it cannot be read.
     """
-    if not path.exists():
+    if not os.path.lexists(path):
         return []
     with open_input(path) as file:
         lines = file.read().decode(errors="replace").splitlines()

@@ -9,19 +9,25 @@ import socket
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 import jaxisp.io
 from jaxisp.errors import InputError
+from jaxisp.io import read_image, read_jpeg, read_raw
+from jaxisp.io.digests import digest_of
 from jaxisp.io.files import (
     atomic_write,
+    check_file,
     filled_folder,
     find_images,
     list_folder,
+    load_npy,
     output_file,
     output_folder,
+    read_json,
     read_toml,
     write_text,
 )
@@ -239,6 +245,87 @@ def special_files(folder):
         os.mknod(folder / "block device", stat.S_IFBLK | 0o666, os.makedev(7, 7))
         names += ["zero device", "block device"]
     return names
+
+
+@contextlib.contextmanager
+def as_nobody():
+    """Permissions do not stop root."""
+    if os.geteuid():
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def special_inputs(folder):
+    """Paths that are no file to be read, and what has to be said of each."""
+    said = {"link": "", "lost link": "no such file", "socket": "is a socket", "FIFO": "is a FIFO"}
+    found = {}
+    for name in special_files(folder):
+        if what := said.get(name, "is a device"):
+            found[folder / name] = what
+    put(folder, "closed", "closed folder/a.png")
+    (folder / "closed").chmod(0)
+    (folder / "closed folder").chmod(0)
+    with open(os.fsencode(folder) + b"/\xff\xfe", "wb") as file:
+        file.write(b"x")
+    return found | {
+        folder / "closed": "permission denied",
+        folder / "closed folder": "permission denied",
+        folder / "closed folder" / "a.png": "permission denied",
+        folder / "N\0L": "NUL",
+        Path(os.fsdecode(os.fsencode(folder) + b"/\xff\xfe")): "not UTF-8",
+        folder / ("n" * 255): "no such file",
+        folder / ("n" * 256): "file name too long",
+        folder / ("n/" * 3000): "file name too long",
+    }
+
+
+@pytest.mark.parametrize(
+    "reader", [check_file, digest_of, read_image, read_jpeg, read_raw, load_npy, read_toml, read_json]
+)
+def test_special_inputs_are_refused_at_once(tmp_path, reader):
+    tmp_path.chmod(0o777)
+    tmp_path.parent.chmod(0o755)
+    tmp_path.parent.parent.chmod(0o755)
+    wanted = special_inputs(tmp_path)
+    with as_nobody():
+        for path, what in wanted.items():
+            clock, held = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            with pytest.raises(InputError) as caught:
+                reader(path)
+            assert time.perf_counter() - clock < 1
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - held < 50_000
+            assert str(caught.value).startswith(f"{path}: ") and what in str(caught.value)
+
+
+def test_one_bad_input_of_many_does_not_end_the_rest(tmp_path):
+    tmp_path.chmod(0o777)
+    tmp_path.parent.chmod(0o755)
+    tmp_path.parent.parent.chmod(0o755)
+    (tmp_path / "of").mkdir()
+    (tmp_path / "of" / "shut").mkdir()
+    os.mkfifo(tmp_path / "of" / "FIFO.png")
+    (tmp_path / "of" / "lost.png").symlink_to("nothing")
+    put(tmp_path, "of/fine.png")
+    (tmp_path / "of" / "shut").chmod(0)
+    bad = [*special_inputs(tmp_path), tmp_path / "none.png"]
+    with as_nobody():
+        found = find_images([*bad, tmp_path / "of"], recursive=True)
+        told = {}
+        for path in found:
+            try:
+                check_file(path)
+            except InputError as error:
+                told[path] = str(error)
+        assert [p for p in found if p not in told] == [tmp_path / "of" / "fine.png"]
+        assert told.keys() == {*bad, *(tmp_path / "of" / n for n in ("FIFO.png", "lost.png", "shut"))}
+        assert told[tmp_path / "of" / "shut"].endswith("shut: cannot be read: permission denied")
+        with pytest.raises(InputError, match="cannot be read: permission denied"):
+            list_folder(tmp_path / "of" / "shut")
 
 
 def test_outputs_replace_nothing_but_plain_files(tmp_path):
