@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say
 
 
 def add_commands(commands: Any) -> None:
@@ -37,5 +37,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json({"image": arguments.out, "width": width, "height": height, "cfa": raw.cfa})
     else:
-        print(f"{arguments.out}: {width} x {height}, {raw.cfa}")
+        say(f"{arguments.out}: {width} x {height}, {raw.cfa}")
     return 0

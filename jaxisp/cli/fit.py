@@ -1,13 +1,22 @@
 """`jaxisp fit`: a camera from RAW+JPEG pairs."""
 
-import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import (
+    add_command,
+    names,
+    positive,
+    print_json,
+    print_table,
+    progress,
+    report_failures,
+    say,
+    warn,
+)
 from jaxisp.cli.devices import add_devices, join, use_cores
 
 
@@ -55,7 +64,7 @@ def run(arguments: Namespace) -> int:
     join(arguments)
     journal = beside(arguments.out)
     if blocked := in_the_way(journal):
-        print(f"jaxisp: {blocked}", file=sys.stderr)
+        warn(f"{blocked}")
     with _places(arguments):
         result = _fitted(arguments)
         if jax.process_index():  # the first writes for all
@@ -69,7 +78,7 @@ def run(arguments: Namespace) -> int:
         journal.unlink(missing_ok=True)
     for pair in result.pairs:
         for note in pair.notes:
-            print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
+            warn(f"{pair.name}: {note}")
     if arguments.json:
         print_json({"camera": arguments.out, **result.as_dict()})
     else:
@@ -129,8 +138,8 @@ def _print(result: Any, out: str) -> None:
         for p in result.pairs
     ]  # fmt: skip
     print_table(("pair", "PSNR fitted", "SSIM", "PSNR held out", "SSIM", "shift [px]"), rows)
-    print(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
+    say(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
     if result.unidentified:
-        print(f"not identified by these pairs: {', '.join(result.unidentified)}")
+        say(f"not identified by these pairs: {', '.join(result.unidentified)}")
     if result.at_bound:
-        print(f"at a bound: {', '.join(result.at_bound)}")
+        say(f"at a bound: {', '.join(result.at_bound)}")

@@ -4,7 +4,7 @@ from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say
 
 
 def add_commands(commands: Any) -> None:
@@ -48,5 +48,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json({"recipe": arguments.out, "cameras": arguments.cameras})
     else:
-        print(f"{arguments.out}: {recipe.description}")
+        say(f"{arguments.out}: {recipe.description}")
     return 0

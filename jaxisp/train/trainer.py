@@ -282,7 +282,7 @@ class _Rate:
 
 
 class _Signals:
-    """Takes SIGINT and SIGTERM as a wish to stop; a second SIGINT interrupts at once."""
+    """Takes SIGINT and SIGTERM as a wish to stop; a second one does what it did before."""
 
     came = False
 
@@ -295,7 +295,7 @@ class _Signals:
 
     def _note(self, number: int, frame: Any) -> None:
         self.came = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(number, self._before[number])
 
     def __exit__(self, *_: Any) -> None:
         for number, handler in self._before.items():
