@@ -79,7 +79,7 @@ def degrade_shards(
     numbers = list(range(shards) if only is None else only)
     with locked(out, shared=True):
         with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
-            _write_plan(work, out, shards)
+            _write_plan(work, out, shards, numbers)
         total = sum(len(_range(work, s, shards)) for s in numbers)
         for shard in numbers:
             with locked(out, name=f".{shard_name(shard, shards)}.lock"):
@@ -92,8 +92,14 @@ def _range(work: Work, shard: int, shards: int) -> range:
     return range(len(work) * shard // shards, len(work) * (shard + 1) // shards)
 
 
-def _write_plan(work: Work, out: Path, shards: int) -> None:
-    """The manifest that all shards have in common; it must be that of the shards that stand there."""
+def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
+    """The manifest that all shards have in common; it must be that of the shards that stand there.
+
+    Who writes it takes the digests of all inputs; others those of the inputs of their own shards.
+    """
+    before = read_manifest(out) if os.path.lexists(out / MANIFEST) else {}
+    own = {k // work.count for s in numbers for k in _range(work, s, shards)}
+    told = before.get("inputs", [])
     plan = {
         "schema": SCHEMA,
         "format": "array_record of npz: clean, noisy (H, W, 3) uint8, index, name, parameters (TOML)",
@@ -105,10 +111,12 @@ def _write_plan(work: Work, out: Path, shards: int) -> None:
         "count": work.count,
         "samples": len(work),
         "shards": shards,
-        "inputs": [[path.name, work.digest_of(path)] for path in work.paths],
+        "inputs": [
+            [path.name, told[i][1] if i < len(told) and i not in own else work.digest_of(path)]
+            for i, path in enumerate(work.paths)
+        ],
     }
-    if os.path.lexists(out / MANIFEST):
-        before = read_manifest(out)
+    if before:
         for key in plan:
             if plan[key] != before.get(key) and key != "jaxisp":
                 what = (

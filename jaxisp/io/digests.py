@@ -10,6 +10,7 @@ from pathlib import Path
 
 from jaxisp.errors import InputError
 from jaxisp.io.files import (
+    MOST_NOTES,
     PathLike,
     files_below,
     open_input,
@@ -83,7 +84,7 @@ def read_sealed(path: PathLike) -> str:
     Raises:
         InputError: it cannot be read, or does not hold it: it is damaged, was changed, or is another's.
     """
-    text = read_text(Path(path))
+    text = read_text(path, MOST_NOTES)
     if not is_sealed(text):
         raise InputError(f"{path}: does not hold its own digest; it is damaged, or was changed")
     return text

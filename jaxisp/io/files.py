@@ -23,7 +23,9 @@ MOST_PIXELS = 1 << 28
 FREE_PIXELS = 1 << 24
 """Pictures up to this many pixels are read however small their files are."""
 MOST_TEXT = 16 << 20
-"""Bytes: a larger text is not read."""
+"""Bytes: a larger text of anybody's is not read."""
+MOST_NOTES = 1 << 30
+"""Bytes: the same of what we note of our own work, as of all inputs."""
 MOST_NAME = 255
 """Bytes of a file's name, on most file systems."""
 MOST_NESTED = 100
@@ -125,16 +127,16 @@ def read_toml(path: PathLike) -> dict[str, Any]:
 
 def read_json(path: PathLike) -> dict[str, Any]:
     """A table in JSON as a dict; InputError where it is none."""
-    return parse_json(read_text(path), str(path))
+    return parse_json(read_text(path, MOST_NOTES), str(path))
 
 
-def read_text(path: PathLike) -> str:
-    """A file of UTF-8 text, at most `MOST_TEXT` bytes; it may be empty."""
+def read_text(path: PathLike, most: int = MOST_TEXT) -> str:
+    """A file of UTF-8 text of at most so many bytes; it may be empty."""
     path = Path(path)
     with open_input(path) as file, _reading(path):
-        data = file.read(MOST_TEXT + 1)
-    if len(data) > MOST_TEXT:
-        raise InputError(f"{path}: is larger than {MOST_TEXT >> 20} MiB, which no text of ours is")
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise InputError(f"{path}: is larger than {most >> 20} MiB, which no text of ours is")
     try:
         return data.decode()
     except UnicodeDecodeError as error:
