@@ -53,7 +53,7 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     command.add_argument(
         "--grace", type=float, metavar="SECONDS",
-        help="how long a signal leaves for the step and a checkpoint (default 1.5; 60 with --coordinator)",
+        help="how long a signal leaves for the step and a checkpoint (default 1.2; 60 with --coordinator)",
     )  # fmt: skip
     for flag, kind, text in _OPTIONS:
         command.add_argument(flag, type=kind, help=text)

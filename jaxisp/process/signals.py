@@ -15,7 +15,7 @@ from typing import Any
 LINE = "jaxisp: stopped; what was written is whole"
 _CURSOR = b"\r\x1b[?25h"
 """Shows the cursor, which a progress bar has hidden."""
-GRACE = 1.5
+GRACE = 1.2
 """Seconds that the main thread has."""
 
 
