@@ -10,8 +10,8 @@ import jaxisp.cli
 from jaxisp.cli import common, main
 from jaxisp.errors import printable
 from jaxisp.io import write_png
+from jaxisp.testing import smooth_image
 from jaxisp.train.logs import STEP_FIELDS, Log, read_rows
-from tests.conftest import smooth_image
 from tests.io.test_files import as_nobody, special_inputs
 
 EVIL = "\x1b]0;owned\x07[red]a[bold]\u202egnp\x9b2J"

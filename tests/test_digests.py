@@ -13,7 +13,7 @@ from jaxisp.generate import Work, degrade_files
 from jaxisp.io import write_png
 from jaxisp.io.digests import check_seal, is_sealed, own_folder, sealed_json, sealed_toml
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from jaxisp.camera import standard_camera
 from jaxisp.cli import main
 from jaxisp.io import write_png
 from jaxisp.samples import PHONES, scenes, write_pairs
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.io.test_files import special_files
 
 TRAIN = (
