@@ -12,11 +12,12 @@ from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
-from jaxisp.fit.sharing import CAMERA, IMAGE, Layout, sharing
+from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
+from jaxisp.params import map_specs
 from jaxisp.pipeline import Params
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
@@ -44,7 +45,8 @@ class Options:
         median: a footprint, "none", or "auto".
         place: where denoising is; see `model.Design`.
         per_image: parameters that each image has of its own; see `sharing`.
-        fixed: parameters that are not fitted.
+        fixed: parameters that are not fitted, beside `FIXED_NAMES`.
+        free: those of `FIXED_NAMES` that are.
         starts: how many of `model.starts` are tried.
     """
 
@@ -53,7 +55,8 @@ class Options:
     median: str
     place: str
     per_image: tuple[str, ...]
-    fixed: tuple[str, ...]
+    fixed: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
     starts: int = 1
 
     @property
@@ -67,9 +70,11 @@ class Options:
 
     def problem(self, jpeg: Jpeg | None) -> Problem:
         """What is compiled, for files that state their chroma sampling, or for none."""
-        fixed = (*self.fixed, *([model.SAMPLING] if jpeg else []))
         start = model.start()
-        layout = Layout.of(start, sharing(start, self.per_image, fixed))
+        flags = sharing(start, self.per_image, self.fixed, self.free)
+        if jpeg:  # states it
+            flags[model.SAMPLING] = map_specs(lambda spec, _: FIXED, flags[model.SAMPLING])
+        layout = Layout.of(start, flags)
         return Problem(self.place, layout, jpeg.subsampling if model.encodable(jpeg) else None)
 
     @property
