@@ -43,7 +43,6 @@ class Jpeg:
     icc: bytes | None
     converted: bool
     color_space: str
-    progressive: bool
     iso: float | None
     make: str
     model: str
@@ -103,7 +102,6 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
         icc=icc,
         converted=converted,
         color_space=_color_space(frame, picture),
-        progressive=frame.marker in (0xC2, 0xCA),
         **exif,
     )
 
