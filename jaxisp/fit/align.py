@@ -137,14 +137,16 @@ def turned_place(reference: np.ndarray, moving: np.ndarray, place: Alignment) ->
 
     Args:
         place: where it lies as it is. It stays, with orientation 1, unless another is clearly better: scenes
-            may be about symmetric, and noisy ones hardly alike.
+            may be about symmetric, and noisy ones hardly alike. One that lies across need only be better.
     """
     if float(place.correlation) > _PLAIN:
         return place, 1
     orientation = best_orientation(reference, moving)
     other = estimate(reference, orient(moving, orientation)) if orientation != 1 else place
-    better = float(other.correlation) > float(place.correlation) + _BETTER
     shapes = np.shape(reference), np.shape(orient(moving, orientation))
+    upright = np.argmax(np.shape(reference)[:2]) == np.argmax(np.shape(moving)[:2])
+    margin = _BETTER if upright or same_scene(place, np.shape(reference), np.shape(moving)) else 0.0
+    better = float(other.correlation) > float(place.correlation) + margin
     return (other, orientation) if better and same_scene(other, *shapes) else (place, 1)
 
 

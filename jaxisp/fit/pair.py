@@ -75,17 +75,14 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
             f"(correlation {float(alignment.correlation):.2f} against {float(before.correlation):.2f})"
         )
     if not same_scene(alignment, picture.shape, guess.shape):
-        sizes = [f"{shape[1]}x{shape[0]} px" for shape in (picture.shape, guess.shape)]
-        resized = (
-            f", or the JPEG, of {sizes[0]} beside a RAW of {sizes[1]}, is a part that was resized; a fit "
-            f"needs {_SCALES[0]} to {_SCALES[1]} of its size"
-        )
-        raise InputError(
-            f"{example.name}: the RAW and the JPEG do not show the same scene (correlation "
-            f"{float(alignment.correlation):.2f} where they are most alike)"
-            + resized
-            * (picture.shape[:2] != guess.shape[:2])
-        )
+        reason = f"do not show the same scene (correlation {float(alignment.correlation):.2f} at best)"
+        if picture.shape[:2] != guess.shape[:2]:
+            sizes = [f"{shape[1]}x{shape[0]} px" for shape in (picture.shape, guess.shape)]
+            reason += (
+                f", or the JPEG, of {sizes[0]} beside a RAW of {sizes[1]}, is a part that was resized; a fit "
+                f"needs {_SCALES[0]} to {_SCALES[1]} of its size"
+            )
+        raise InputError(f"{example.name}: the RAW and the JPEG {reason}")
     scales = 1 / float(alignment.scale_y), 1 / float(alignment.scale_x)
     if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
         raise InputError(
