@@ -300,7 +300,7 @@ def raw_case(
     if loaded[0].jpeg is None:  # was compressed once, if at all
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unsaid}
-    offered = [e.name for e in effects if e.name not in apart]
+    offered = [name for name in model.effects if name not in apart]
     stored = floor_difference(problem, [p.jpeg for p in loaded])
     floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
     grain = None if "film_grain" in exclude else stored

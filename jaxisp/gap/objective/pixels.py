@@ -225,6 +225,8 @@ class Problem:
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""
         n = len(self.target)
+        if not which:
+            return np.zeros((n, 0, 0)), np.zeros((n, 0))
         stacked = np.stack([self.columns[i].reshape(n, -1) for i in which], 1)
         scale = 1 / self.counts[:, None]
         gram, right = map(np.asarray, _products(stacked, self.residual.reshape(n, -1)))
