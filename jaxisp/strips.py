@@ -33,19 +33,11 @@ _POINTWISE = (
 _DEMOSAICKERS = tuple(
     f"demosaic_{name}"
     for name in (
-        "ahd",
-        "bilinear",
-        "edge_aware",
-        "hamilton_adams",
-        "hibbard",
-        "malvar",
-        "markesteijn",
-        "menon",
-        "normalized_convolution",
-        "vng",
+        "ahd", "bilinear", "edge_aware", "hamilton_adams", "hibbard", "malvar", "markesteijn", "menon",
+        "normalized_convolution", "vng",
     )
-)
-_ENCODERS = ("jpeg", "jpeg_photoshop", "jpeg_tables")
+)  # fmt: skip
+_ENCODERS = ("jpeg", "jpeg_file", "jpeg_photoshop", "jpeg_tables")
 _BLOCK = 16  # rows: a strip of blocks, or of a mosaic's cells, begins where one does
 _BLOCKS = 31
 """Of an encoder: to the far end of the next 16 x 16 block, from which chroma is interpolated."""

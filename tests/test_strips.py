@@ -77,6 +77,7 @@ def test_no_option_is_new():
         "demosaic_normalized_convolution": "cfa",
         "demosaic_vng": "cfa",
         "jpeg": jpeg,
+        "jpeg_file": "components converts subsampling",
         "jpeg_photoshop": "subsampling",
         "jpeg_tables": jpeg,
         "median": "chroma footprint iterations luma",
