@@ -72,7 +72,7 @@ def test_no_option_is_new():
         "demosaic_hamilton_adams": "cfa",
         "demosaic_hibbard": "cfa",
         "demosaic_malvar": "cfa",
-        "demosaic_markesteijn": "cfa passes",
+        "demosaic_markesteijn": "cfa clipped passes",
         "demosaic_menon": "cfa refining",
         "demosaic_normalized_convolution": "cfa",
         "demosaic_vng": "cfa",

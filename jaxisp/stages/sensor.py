@@ -277,7 +277,7 @@ def crosstalk(params: Crosstalk, image: Mosaic) -> Mosaic:
         image: (H, W) linear light, before white balance, any range.
 
     Returns:
-        (H, W) linear light. Borders are reflected, which keeps the phase of the pattern.
+        (H, W) linear light. Borders are reflected, which keeps the phase of a Bayer pattern.
 
     Gradient: exact.
 

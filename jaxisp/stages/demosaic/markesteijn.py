@@ -37,7 +37,9 @@ _JUDGED = 4  # px around a pixel on which the choice among its candidates depend
 
 
 @register
-def demosaic_markesteijn(image: Mosaic, *, cfa: XTrans = XTRANS, passes: int = 3) -> CameraRGB:
+def demosaic_markesteijn(
+    image: Mosaic, *, cfa: XTrans = XTRANS, passes: int = 3, clipped: bool = True
+) -> CameraRGB:
     """Interpolate X-Trans along four directions, and average the candidates that look most homogeneous.
 
     Green on red and blue, in each direction, is interpolated from the hexagon of six greens around such a
@@ -55,6 +57,8 @@ def demosaic_markesteijn(image: Mosaic, *, cfa: XTrans = XTRANS, passes: int = 3
             to find Lab.
         cfa: the 6x6 colour filters of X-Trans, row by row, in any phase.
         passes: 1, or 3: finer detail, in about twice the time.
+        clipped: keep interpolated red and blue in [0, 1], which makes less false colour. False takes
+            samples of any range for what they are, as below black or above white.
 
     Returns:
         (H, W, 3) camera RGB that keeps the measured samples. Borders are mirrored in phase.
@@ -65,15 +69,14 @@ def demosaic_markesteijn(image: Mosaic, *, cfa: XTrans = XTRANS, passes: int = 3
     Gradient: surrogate: the choice of candidates, and of directions within them, is held constant, exact in
     all else.
 
-    Source: Markesteijn's algorithm, as in Coffin's dcraw 9.28 and LibRaw 0.22, without their clipping to 16
-    bits.
+    Source: Markesteijn's algorithm, as in Coffin's dcraw 9.28 and LibRaw 0.22.
     """
     check_xtrans(cfa)
     if passes not in (1, 3):
         raise ValueError(f"demosaic_markesteijn: passes must be 1 or 3, got {passes}")
     if min(image.shape) < 6:
         raise ValueError(f"demosaic_markesteijn: takes 6 x 6 pixels or more, got {image.shape}")
-    rgb = in_strips_on_cpu(partial(_demosaic, cfa, passes), image, reach(passes), unit=6)
+    rgb = in_strips_on_cpu(partial(_demosaic, cfa, passes, clipped), image, reach(passes), unit=6)
     return interleaved(rgb)
 
 
@@ -82,9 +85,9 @@ def reach(passes: int = 3) -> int:
     return _JUDGED + {1: 8, 3: 22}[passes]
 
 
-def _demosaic(cfa: str, passes: int, image: jax.Array) -> Planes:
+def _demosaic(cfa: str, passes: int, clipped: bool, image: jax.Array) -> Planes:
     on = frame((image.shape[0], image.shape[1]), cfa, reach(passes))
-    candidates = _candidates(split(image, on), on, passes)
+    candidates = _candidates(split(image, on), on, passes, clipped)
     weights = lax.stop_gradient(_weights(candidates))
     inner = slice(_JUDGED, -_JUDGED)
     total = reduce(jnp.add, weights)
@@ -96,17 +99,17 @@ def _demosaic(cfa: str, passes: int, image: jax.Array) -> Planes:
     return mean(red), mean(green), mean(blue)
 
 
-def _candidates(mosaic: dict[Place, jax.Array], on: Frame, passes: int) -> Planes:
+def _candidates(mosaic: dict[Place, jax.Array], on: Frame, passes: int, clipped: bool) -> Planes:
     """Red, green and blue (candidates, H, W), with the margin that judging them takes."""
     stored = store(mosaic)
     ranges = materialize({place: _range(stored, place) for place in BESIDE})
     green = {place: plane[None] for place, plane in mosaic.items()}
     green |= {place: _first_green(stored, ranges[place], place) for place in BESIDE}
-    differences = _differences(mosaic, store(green))
+    differences = _differences(mosaic, store(green), clipped)
     found = [_colors(green, differences, on)]
     for _ in range(passes - 1):
         green |= {p: _next_green(mosaic, green, differences, ranges[p], p) for p in BESIDE}
-        differences = _differences(mosaic, store(green))
+        differences = _differences(mosaic, store(green), clipped)
     if passes > 1:
         found.append(_colors(green, differences, on))
     red, greens, blue = (jnp.concatenate(of) for of in zip(*found))
@@ -201,15 +204,22 @@ def _next_green(
     return jnp.stack([estimate(i, step) for i, step in enumerate(_along(toward, across, *aslant))])
 
 
-def _differences(mosaic: dict[Place, jax.Array], green: Stored) -> Stored:
+def _differences(mosaic: dict[Place, jax.Array], green: Stored, clipped: bool) -> Stored:
     """Red and blue less green of the candidates, (4, 2, M, N) at every place."""
+
+    def kept(differences: jax.Array, place: Place) -> jax.Array:
+        own = jnp.expand_dims(at(green, place, (0, 0)), range(1, differences.ndim - 2))
+        return jnp.clip(differences, -own, 1 - own) if clipped else differences
+
     inner = (..., slice(1, -1), slice(1, -1))
     known = store({place: mosaic[place] - green.planes[place][inner] for place in BESIDE})
-    solitary = {SOLITARY: _on_solitary(known, green)}
-    stored = store(solitary)
-    both = {place: _on_beside(known, stored, green, place) for place in BESIDE}
+    solitary = {SOLITARY: kept(_on_solitary(known, green), SOLITARY)}
+    stored, both = store(solitary), {}
+    for place in BESIDE:
+        planes = [at(known, place, (0, 0)), kept(_on_beside(known, stored, green, place), place)]
+        both[place] = jnp.stack(planes if place[0] == 0 else planes[::-1], 1)
     stored = store(both | solitary)
-    return store(both | solitary | {place: _on_corner(stored, place) for place in CORNERS})
+    return store(both | solitary | {place: kept(_on_corner(stored, place), place) for place in CORNERS})
 
 
 def _on_solitary(known: Stored, green: Stored) -> jax.Array:
@@ -234,7 +244,7 @@ def _on_solitary(known: Stored, green: Stored) -> jax.Array:
 
 
 def _on_beside(known: Stored, solitary: Stored, green: Stored, place: Place) -> jax.Array:
-    """(4, 2, M, N): the own colour, and the other, from the pixel that touches and the solitary green
+    """(4, M, N): the colour that was not measured, from the pixel that touches and the solitary green
     opposite, or from the two three pixels off at right angles."""
     toward, across = place, _across(place)
     own = int(place[0] != 0)
@@ -247,12 +257,12 @@ def _on_beside(known: Stored, solitary: Stored, green: Stored, place: Place) -> 
         return sum(jnp.abs(centre - lax.stop_gradient(at(green, place, o))) for o in offsets)  # type: ignore
 
     smooth = steep(toward, back) < 2 * steep(_times(3, across), _times(-3, across))
-    other = [
-        jnp.where(smooth[i], touching[i], remote[i]) if step == across else touching[i]
-        for i, step in enumerate(_along(*_steps(place)))
-    ]
-    planes = [at(known, place, (0, 0)), jnp.stack(other)]
-    return jnp.stack(planes[::-1] if own else planes, 1)
+    return jnp.stack(
+        [
+            jnp.where(smooth[i], touching[i], remote[i]) if step == across else touching[i]
+            for i, step in enumerate(_along(*_steps(place)))
+        ]
+    )
 
 
 def _on_corner(stored: Stored, place: Place) -> jax.Array:
