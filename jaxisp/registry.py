@@ -64,8 +64,9 @@ def signature(fn: Callable[..., jax.Array]) -> Signature:
     except (KeyError, AttributeError):
         raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
     checks = tuple((n, hints[n].__metadata__[0]) for n in static if hasattr(hints.get(n), "__metadata__"))
-    own = hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out
-    return Signature(*own, checks)
+    return Signature(
+        hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out, checks
+    )
 
 
 def sections(fn: Callable[..., Any]) -> dict[str, str]:

@@ -56,7 +56,7 @@ def demosaic_markesteijn(
         image: (H, W) mosaic of 6 x 6 pixels or more, any range, white balanced: it is taken for linear sRGB
             to find Lab.
         cfa: the 6x6 colour filters of X-Trans, row by row, in any phase.
-        passes: 1, or 3: finer detail, in about twice the time.
+        passes: 1, or 3: finer detail, in three times the time.
         clipped: keep interpolated red and blue in [0, 1], which makes less false colour. False takes
             samples of any range for what they are, as below black or above white.
 
