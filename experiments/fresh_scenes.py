@@ -21,14 +21,14 @@ from experiments.withheld.effects import ABSORBABLE, DEVELOP, KINDS, PAIRED, SEA
 from experiments.withheld.scenes import SETS, Scenes, scenes
 from experiments.withheld.shoot import write
 from experiments.withheld.tables import table, wilson
-from jaxisp.gap.base import raw_jpeg
 from jaxisp.gap.base.clean_noisy import plain_case
 from jaxisp.gap.base.mean import fit_mean
-from jaxisp.gap.case import Case, Split
-from jaxisp.gap.diagnose import raw_case
+from jaxisp.gap.base.raw_jpeg import raw_case
+from jaxisp.gap.case import Case
 from jaxisp.gap.pairs.align_clean import clean_pairs, on_each_other
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.verdict import gap_at, searched
-from jaxisp.gap.simulator.effects import CLEAN_NOISY
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, candidates
 from jaxisp.io.datasets import Loaded, open_dataset
 
 SPLITS = {"develop": DEVELOP, "sealed": SEALED}
@@ -71,7 +71,7 @@ def noisy_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
     splits, loaded = groups(half), on_each_other(loaded).kept
     pairs = clean_pairs(loaded)
     camera, mean = fit_mean(loaded[0].jpeg, pairs, splits[0].fit, None)
-    effects, model = raw_jpeg.candidates(CLEAN_NOISY, ()), None
+    effects, model = candidates(CLEAN_NOISY, ()), None
     for split in splits:
         part = mean.take([*split.fit, *split.held_out])
         own = Split(tuple(range(half)), tuple(range(half, 2 * half)))

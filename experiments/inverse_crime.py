@@ -26,10 +26,11 @@ from experiments.withheld.shoot import write
 from experiments.withheld.study import kept
 from experiments.withheld.tables import table, wilson
 from jaxisp.gap import EFFECTS, diagnose
-from jaxisp.gap.base import raw_jpeg
 from jaxisp.gap.base.clean_noisy import clean_case
+from jaxisp.gap.base.plain_raw import raw_model
 from jaxisp.gap.objective.pixels import Problem
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates
 from jaxisp.io.datasets import open_dataset
 from jaxisp.io.files import write_text
 
@@ -62,8 +63,8 @@ class Arm(NamedTuple):
 
 def raw_base(folder: Path) -> Problem:
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
-    pairs = raw_jpeg.raw_pairs(loaded)
-    base = raw_jpeg.raw_model(loaded, pairs, raw_jpeg.candidates(RAW_JPEG), range(0, len(loaded), 2))
+    pairs = raw_pairs(loaded)
+    base = raw_model(loaded, pairs, candidates(RAW_JPEG), range(0, len(loaded), 2))
     return Problem(base.model, pairs)
 
 

@@ -27,6 +27,11 @@ LAYERS = [
     {"cli"},
 ]
 RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
+GAP = (
+    "parallel", "pairs", "simulator", "features", "axes", "objective", "gauss_newton", "case", "base",
+    "search", "downstream", "report", "diagnose",
+)  # fmt: skip
+"""The folders and modules of the diagnosis, lowest first: each imports only those before it."""
 
 
 def modules() -> list[Path]:
@@ -34,26 +39,56 @@ def modules() -> list[Path]:
     return sorted(set(PACKAGE.rglob("*.py")) - entry)
 
 
-def layer(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def layer(path: Path, within: Path = PACKAGE) -> str:
+    return path.relative_to(within).parts[0].removesuffix(".py")
 
 
-def imported(path: Path) -> set[str]:
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def imported(text: str, package: str = "jaxisp") -> set[str]:
+    """The folders and modules of a package that a module imports, wherever in it."""
+    found, depth = set(), package.count(".") + 1
+    for node in ast.walk(ast.parse(text)):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [node.module] + [f"{node.module}.{a.name}" for a in node.names]
-        found |= {n.split(".")[1] for n in names if n.startswith("jaxisp.")}
+        found |= {n.split(".")[depth] for n in names if n.startswith(f"{package}.")}
     return found - {"__version__"}
+
+
+def upward(text: str, own: str) -> set[str]:
+    """What a module of a folder of the diagnosis must not import."""
+    return {name for name in imported(text, "jaxisp.gap") if GAP.index(name) > GAP.index(own)}
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_imports_point_down(path):
     own = layer(path)
     assert own in RANK, f"{own}: say in which layer it is"
-    upward = {name for name in imported(path) if RANK[name] > RANK[own]}
-    assert not upward, f"{path.name} imports upwards: {upward}"
+    above = {name for name in imported(path.read_text()) if RANK[name] > RANK[own]}
+    assert not above, f"{path.name} imports upwards: {above}"
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted({*(PACKAGE / "gap").rglob("*.py")} - {PACKAGE / "gap" / "__init__.py"}),
+    ids=lambda p: str(p.relative_to(PACKAGE / "gap")),
+)
+def test_the_folders_of_the_diagnosis_import_one_way(path):
+    own = layer(path, PACKAGE / "gap")
+    assert own in GAP, f"{own}: say where in the order it is"
+    assert not upward(path.read_text(), own), f"{path.name} imports upwards"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from jaxisp.gap.search.refit import Trial",
+        "from jaxisp.gap import search",
+        "import jaxisp.gap.search.refit",
+        "def late():\n    from jaxisp.gap.search import refit",
+    ],
+)
+def test_an_import_upwards_is_seen(line):
+    assert upward(line, "objective") == {"search"} and upward(line, "report") == set()
 
 
 def test_io_does_not_need_jax_arrays():

@@ -1,89 +1,15 @@
 """What the search for a cause needs of a problem, and which of its pairs are fitted."""
 
-import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxisp.errors import InputError
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
-from jaxisp.gap.simulator.model import Choice, Model
-
-Rows = Sequence[dict[str, Any]]
-"""Axes, as `where` of report.json has them."""
-
-Ladders = list[list[np.ndarray]]
-"""Points to begin at; those of one list differ in how much noise the base has, from rung to rung more."""
-
-
-class Measured(Protocol):
-    """What the search needs; see `jaxisp.gap.objective.pixels.Problem`."""
-
-    model: Model
-    z: np.ndarray
-    columns: dict[int, np.ndarray]
-    choices: Sequence[Choice]
-    rival: Choice | None  # beside which effects are screened too: the base may owe its own to one of them
-    references: Mapping[int, float]  # where a coordinate does what the file does anyway
-    fresh: Sequence[int]  # coordinates whose columns change with every step
-
-    def placed(self, z: np.ndarray, i: int, value: float) -> np.ndarray: ...
-    def noisier(self, z: np.ndarray, i: int) -> Ladders: ...
-    def starts(self, own: Sequence[int]) -> list[Ladders]: ...
-    def units(self, z: np.ndarray) -> np.ndarray: ...
-    def errors(self, z: np.ndarray) -> np.ndarray: ...
-    def distances(self, z: np.ndarray) -> np.ndarray | None: ...
-    def scatter(self, z: np.ndarray) -> np.ndarray | None: ...
-    def located(self, held: Sequence[int]) -> Rows: ...
-    def credited(self, rows: Rows, held: Sequence[int]) -> Rows: ...
-    def clustered(self, values: np.ndarray, which: Sequence[int]) -> np.ndarray: ...
-    def scenes(self, which: Sequence[int]) -> int | None: ...
-    def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None: ...
-    def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]: ...
-    def move_to(self, z: np.ndarray) -> None: ...
-    def choose(self, choice: Choice) -> None: ...
-    def take(self, which: Sequence[int]) -> "Measured": ...
-
-
-class Part:
-    """Some of the pairs of a problem that can be measured only together."""
-
-    choices: Sequence[Choice] = ()
-
-    def __init__(self, whole: Any, which: Sequence[int]) -> None:
-        self.__dict__["_whole"], self.__dict__["_which"] = copy.copy(whole), list(which)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._whole, name)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        setattr(self._whole, name, value)
-
-    def units(self, z: np.ndarray) -> np.ndarray:
-        return np.asarray(self._whole.units(z)[self._which])
-
-    def errors(self, z: np.ndarray) -> np.ndarray:
-        return np.asarray(self._whole.errors(z)[self._which])
-
-    def distances(self, z: np.ndarray) -> np.ndarray | None:
-        found = self._whole.distances(z)
-        return None if found is None else np.asarray(found[self._which])
-
-    def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        gram, slope = self._whole.normal(which)
-        return gram[self._which], slope[self._which]
-
-
-@dataclasses.dataclass(frozen=True)
-class Split:
-    """Pairs that parameters are fitted on, and those that every figure comes from."""
-
-    fit: tuple[int, ...]
-    held_out: tuple[int, ...]
-
 
 LEAST_UNIT = {RAW_JPEG: 4.0, CLEAN_NOISY: 0.0}
 """The floor that thresholds are shares of, at least. In squared 8-bit steps most compressed files have 4 to
@@ -168,3 +94,9 @@ class Downstream:
     def __post_init__(self) -> None:
         if self.steps < 1 or not self.seeds:
             raise InputError(f"downstream: {self.steps} steps, {len(self.seeds)} seeds; expected 1 or more")
+
+
+Tick = Callable[[int, int, str], Any]
+
+
+MOST_CAUSES = 3

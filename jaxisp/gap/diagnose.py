@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from jaxisp.errors import InputError
+from jaxisp.gap.axes import Rows
+from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.axes.null_bank import CLEAR, held_against_nulls
-from jaxisp.gap.base import raw_jpeg
-from jaxisp.gap.case import NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Rows, Split
+from jaxisp.gap.base.raw_jpeg import raw_case
+from jaxisp.gap.case import MOST_CAUSES, NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Tick
 from jaxisp.gap.downstream.ceiling import reducible
-from jaxisp.gap.features.spectra import held_out_spreads
-from jaxisp.gap.objective.pixels import Problem, floor_difference, floor_errors, to_steps
 from jaxisp.gap.pairs.align_clean import on_each_other
 from jaxisp.gap.pairs.align_raw import Laid, in_one_frame
-from jaxisp.gap.pairs.earlier_grid import earlier_grid
+from jaxisp.gap.pairs.crops import SMALLEST
 from jaxisp.gap.pairs.headers import of_one_sampling
-from jaxisp.gap.pairs.scenes import split_of
 from jaxisp.gap.report import advice
+from jaxisp.gap.report.pictures import example
 from jaxisp.gap.report.record import (
     NO_COLOURS,
     NO_HEADER,
@@ -30,9 +30,7 @@ from jaxisp.gap.report.record import (
     cause_row,
     ranking_rows,
 )
-from jaxisp.gap.search.refit import interval
-from jaxisp.gap.search.stepwise import Tick
-from jaxisp.gap.search.verdict import MOST_CAUSES, Found, gap_at, searched
+from jaxisp.gap.search.verdict import Found, gap_at, searched
 from jaxisp.gap.simulator.effects import RAW_JPEG
 from jaxisp.gap.simulator.model import Model
 from jaxisp.io.datasets import Loaded, open_dataset
@@ -111,7 +109,7 @@ def diagnose(
     case, laid = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
     problem = case.problem
     gap = gap_at(case)
-    pictures = _pictures(case, "before")
+    pictures = example(case, "before")
     base = problem.model, problem.z.copy()
     found = searched(case, gap, tick)
     report = _report(case, gap, found, base, tick)
@@ -119,7 +117,7 @@ def diagnose(
     if downstream is not None:
         report["downstream"] = _trained(case, base, found, downstream, tick)
     if found.causes:
-        pictures |= _pictures(case, "after")
+        pictures |= example(case, "after")
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
 
@@ -146,7 +144,7 @@ def _report(case: Case, gap: Gap, found: Found, base: tuple[Model, np.ndarray], 
     tried = len(case.offered) + (case.stored is not None)  # and film grain
     causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
     ended = problem.model.params(problem.z) if causes else None
-    reached, where = {}, held_against_nulls(found.before.where, case.kind, gap.before, gap)
+    reached, where = {}, held_against_nulls(found.before.where, case.kind, gap.before, gap.unit)
     if there:
         tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
         refits = [t.after for t in (*found.trials.values(), *found.nearest)]
@@ -249,58 +247,12 @@ def _large_enough(pair: Loaded) -> Loaded:
     first = pair.clean if pair.raw is None else pair.raw.mosaic
     sizes = [a.shape[:2] for a in (first, pair.picture) if a is not None]
     for height, width in sizes:
-        if min(height, width) < raw_jpeg.SMALLEST:
-            wanted = f"{raw_jpeg.SMALLEST} or more a side"
+        if min(height, width) < SMALLEST:
+            wanted = f"{SMALLEST} or more a side"
             raise InputError(
                 f"{pair.name}: {width}x{height} px are too few to be diagnosed, expected {wanted}"
             )
     return pair
-
-
-def raw_case(
-    loaded: Sequence[Loaded],
-    camera: Recipe | None,
-    exclude: Sequence[str],
-    tick: Tick,
-    split: Split | None = None,
-) -> Case:
-    """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
-    is fitted, unless a split says otherwise."""
-    pairs = raw_jpeg.raw_pairs(loaded)
-    split = split_of(pairs.names) if split is None else split
-    effects = raw_jpeg.candidates(RAW_JPEG, exclude)
-    tick(0, MOST_CAUSES, "fitting the base")
-    if camera is None:
-        base = raw_jpeg.raw_model(loaded, pairs, effects, split.fit)
-    else:
-        base = raw_jpeg.Base(raw_jpeg.camera_model(camera, loaded, effects))
-    model, absorbed = base.model, base.absorbed
-    references: dict[int, float] = {}
-    seen: tuple[str, ...] = ()
-    place = (0, 0)
-    if loaded[0].jpeg is not None:
-        place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # where the gap lies, tried or not
-        if "double_compression" in model.effects:
-            model = raw_jpeg.with_earlier_grid(model, place)
-            if place == (0, 0):  # the file's own grid
-                indices = model.indices(["double_compression"])
-                references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
-            else:
-                seen = ("double_compression",)
-    problem = Problem(model, pairs, base.choices, base.rival)
-    problem.weigh(problem.robust_weights())
-    problem.references, problem.earlier = references, place
-    stated = raw_jpeg.stated_by(loaded[0].jpeg)
-    if loaded[0].jpeg is None:  # was compressed once, if at all
-        stated.add("double_compression")
-    apart = stated | {*absorbed, *base.unsaid}
-    offered = [e.name for e in effects if e.name not in apart]
-    stored = floor_difference(problem, [p.jpeg for p in loaded])
-    floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
-    grain = None if "film_grain" in exclude else stored
-    return Case(
-        RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen, unsaid=base.unsaid
-    )
 
 
 def _statistics(rows: Rows) -> dict[str, Any]:
@@ -324,7 +276,7 @@ def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
 def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -> dict[str, Any]:
     def axes(rows: Rows, at: float) -> list[str]:
         sure = [row for row in rows if row["p_value"] < _BY_CHANCE]
-        return _clear(held_against_nulls(sure, kind, at, gap))
+        return _clear(held_against_nulls(sure, kind, at, gap.unit))
 
     share, left = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, after)
     text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(left)}" if left else "")
@@ -351,20 +303,3 @@ _BY_CHANCE = 0.01
 def _clear(rows: Rows) -> list[str]:
     """The axes that clearly have some of a gap, three at most."""
     return [str(row["axis"]) for row in rows if row["p_value"] <= CLEAR and row["share"] > 0.02][:3]
-
-
-def _pictures(case: Case, when: str) -> dict[str, Any]:
-    """One held-out pair as the simulator makes it where the problem stands, what it lacks, and how that is
-    spread in all of them."""
-    problem, i = case.problem, case.split.held_out[0]
-    whole = problem.rendered(problem.z)
-    picture = to_steps(whole[problem.inner])
-    spreads = held_out_spreads(case, picture)
-    return {
-        "name": problem.pairs.names[i],
-        "target": problem.pairs.pictures[i],
-        when: whole[i],
-        f"residual_{when}": problem.target[i] - picture[i],
-        f"spread_{when}": spreads.pop("simulator"),
-        **{f"spread_{whose}": own for whose, own in spreads.items()},
-    }

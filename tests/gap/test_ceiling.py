@@ -8,10 +8,12 @@ import pytest
 from scipy.ndimage import laplace
 from scipy.stats import norm
 
-from jaxisp.gap.case import Gap, Split
+from jaxisp.gap.case import Gap
 from jaxisp.gap.downstream import ceiling
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.objective.tolerances import left_by_shift
+from jaxisp.gap.features.tolerances import left_by_shift
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
 
 
 class Still:

@@ -17,12 +17,11 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base import cfa_phase, clean_noisy
 from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.palette import TYPICAL
-from jaxisp.gap.base.plain_clean import MIXING, Camera, noise_freedom, primaries
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
+from jaxisp.gap.base.plain_clean import Camera, noise_freedom, primaries
 from jaxisp.gap.pairs.align_clean import clean_pairs, on_each_other
-from jaxisp.gap.pairs.scenes import split_of
-from jaxisp.gap.simulator.model import build, plain_freedom
+from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.simulator.effects import candidates
+from jaxisp.gap.simulator.model import MIXING, build, plain_freedom
 from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings

@@ -10,16 +10,16 @@ import pytest
 
 from jaxisp.gap import parallel
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
 from jaxisp.gap.features.quantization import unknown_codes
 from jaxisp.gap.features.residual_statistics import feature_names
+from jaxisp.gap.features.tolerances import noise_only, tolerances, units
 from jaxisp.gap.objective import statistics
-from jaxisp.gap.objective.pixels import BORDER, Pairs, to_steps
 from jaxisp.gap.objective.starts import noise_indices
 from jaxisp.gap.objective.statistics import StatisticsProblem
-from jaxisp.gap.objective.tolerances import noise_only, tolerances, units
+from jaxisp.gap.pairs.pairs import BORDER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.refit import Whole, _climbed, nearest_form, refit
+from jaxisp.gap.simulator.effects import candidates
 from tests.conftest import smooth_image
 
 pytestmark = pytest.mark.optimised

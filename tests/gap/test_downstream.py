@@ -9,10 +9,11 @@ from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import Downstream
-from jaxisp.gap.case import Case, Split
+from jaxisp.gap.case import Case
 from jaxisp.gap.diagnose import _trained
 from jaxisp.gap.downstream import denoisers
 from jaxisp.gap.downstream.denoisers import measure_downstream
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.search.account import Shown
 from jaxisp.gap.search.verdict import Found, Refused

@@ -9,13 +9,13 @@ import pytest
 
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, Effect, Move, parallel, register_effect
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.refit import Whole, refit
 from jaxisp.gap.search.screening import screen
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, check_effect
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates, check_effect
 from jaxisp.gap.simulator.model import build, plain_camera, plain_freedom
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance

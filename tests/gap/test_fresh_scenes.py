@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.fresh_scenes import drop, groups, page, pictures
-from jaxisp.gap.case import Case, Split
+from jaxisp.gap.case import Case
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.refit import Trial
 
 

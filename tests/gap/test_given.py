@@ -17,8 +17,9 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.given import of_recipe
 from jaxisp.gap.base.given_camera import check_camera, of_camera
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.simulator.effects import candidates
 from jaxisp.pipeline import Chain, Gate, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe

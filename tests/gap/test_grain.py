@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.gap.case import Split
-from jaxisp.gap.objective.pixels import Problem, to_steps
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import to_steps
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.film_grain import grain_trial, with_grain
 from jaxisp.gap.search.refit import Trial
 

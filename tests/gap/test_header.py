@@ -12,7 +12,7 @@ from PIL import Image
 from scipy import ndimage
 
 from experiments.withheld.scenes import scenes
-from jaxisp.gap.diagnose import raw_case
+from jaxisp.gap.base.raw_jpeg import raw_case
 from jaxisp.gap.pairs.align_raw import in_one_frame
 from jaxisp.gap.pairs.headers import of_one_sampling, stated_warp
 from jaxisp.gap.simulator.effects import EFFECTS
@@ -87,7 +87,7 @@ def error(folder: Path) -> float:
 def test_a_stated_lens_is_no_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Corrections of 3 px and of half of the light are put before the pairs; either alone is a gap. Where an
     earlier compression began is known, though nothing is tried."""
-    monkeypatch.setattr(import_module("jaxisp.gap.diagnose"), "earlier_grid", lambda luma: EARLIER)
+    monkeypatch.setattr(import_module("jaxisp.gap.base.raw_jpeg"), "earlier_grid", lambda luma: EARLIER)
     found = {}
     for name, stated in {"all": [VIGNETTE, WARP], "warp": [WARP], "vignetting": [VIGNETTE]}.items():
         found[name] = error(shoot(tmp_path / name, stated))

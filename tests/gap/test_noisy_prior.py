@@ -9,7 +9,8 @@ from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.priors import Prior, plain_prior, usual_matrix
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from tests.conftest import smooth_image

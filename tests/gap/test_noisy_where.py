@@ -5,7 +5,7 @@ import pytest
 
 from jaxisp.gap.axes.statistics import credited, in_one_place, located
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.tolerances import axis_of, present, weights
+from jaxisp.gap.features.tolerances import axis_of, present, weights
 
 SIDE, SCENES = 96, [f"scene{k}" for k in range(6)]
 AXIS = np.array([axis_of(name) for name in feature_names()])

@@ -8,9 +8,12 @@ import pytest
 
 from jaxisp.camera import standard_camera
 from jaxisp.gap.base.absorbed import taken_up
-from jaxisp.gap.base.raw_jpeg import camera_model, candidates, choices, fit_base
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.base.plain_raw import choices, fit_base
+from jaxisp.gap.base.raw_jpeg import camera_model
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.report.record import base_row
+from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom, rooted
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw

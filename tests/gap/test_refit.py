@@ -4,11 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.search.refit import Whole, few_scenes, interval, refit
-from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.axes.interval import few_scenes, interval
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.refit import Whole, refit
+from jaxisp.gap.simulator.effects import RAW_JPEG, candidates
 from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking

@@ -17,7 +17,7 @@ from jaxisp.gap.features.residual_statistics import (
     frames_of,
     noise_of,
 )
-from jaxisp.gap.objective.tolerances import axis_of, present, tolerances, weights
+from jaxisp.gap.features.tolerances import axis_of, present, tolerances, weights
 from jaxisp.gap.simulator.effects import AXES
 from tests.gap.scenes import scenes
 

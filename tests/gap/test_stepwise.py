@@ -5,7 +5,7 @@ import types
 import numpy as np
 import pytest
 
-from jaxisp.gap.case import Split
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search import stepwise
 from jaxisp.gap.search.refit import Trial, Whole
 from jaxisp.gap.search.stepwise import Terms, search

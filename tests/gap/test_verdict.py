@@ -3,7 +3,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxisp.gap.case import Case, Gap, Split
+from jaxisp.gap.case import Case, Gap
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search import verdict
 from jaxisp.gap.search.account import Shown
 from jaxisp.gap.search.refit import Trial, Whole

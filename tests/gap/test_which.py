@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from jaxisp.gap.case import Split
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.refit import Trial
 from jaxisp.gap.search.screening import best, foretold, hidden, like_the_nearest, lookalikes, of_form
 

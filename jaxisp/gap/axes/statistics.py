@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.interval import Draws
-from jaxisp.gap.case import Rows
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.tolerances import axis_of, present, repeats
+from jaxisp.gap.features.tolerances import axis_of, present, repeats
 
 _SPILT = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
 """Axes that whatever stands in one place shows on too: to a picture's statistics its pixels are outliers."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxisp.gap.features.mean import CHANNELS
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
 
 _APART = 0.1
 """What logarithms of variances differ by where the pattern is right: chance is a third of it."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.gap.base import cfa_phase, raw_jpeg
+from jaxisp.gap.base import cfa_phase
 from jaxisp.gap.base.absorbed import noise_taken_up, taken_up
 from jaxisp.gap.base.given import Given, of_recipe
 from jaxisp.gap.base.given_camera import check_camera, of_camera
@@ -15,17 +15,19 @@ from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.noise import fit_noise, rebased
 from jaxisp.gap.base.open_numbers import fit_open
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.case import Case, Split
+from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.features.quantization import Codes, codes
 from jaxisp.gap.features.residual_statistics import compile_features
-from jaxisp.gap.objective.pixels import BORDER, Pairs, Problem, to_steps
+from jaxisp.gap.objective.pixels import Problem
 from jaxisp.gap.objective.statistics import StatisticsProblem
 from jaxisp.gap.pairs.align_clean import clean_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
-from jaxisp.gap.pairs.scenes import split_of
+from jaxisp.gap.pairs.headers import stated_by
+from jaxisp.gap.pairs.pairs import BORDER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split, split_of
 from jaxisp.gap.parallel import beside
-from jaxisp.gap.search.stepwise import Tick
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, Effect
+from jaxisp.gap.simulator.choices import with_earlier_grid
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, Effect, candidates
 from jaxisp.gap.simulator.model import Choice, Model
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
@@ -76,7 +78,7 @@ def clean_case(
     """
     pairs = clean_pairs(loaded, _SMOOTHING if simulator else 0.0)
     split = split_of(pairs.names)
-    effects = raw_jpeg.candidates(CLEAN_NOISY, exclude)
+    effects = candidates(CLEAN_NOISY, exclude)
     file, described = loaded[0].jpeg, loaded[0].settings.raw
     if simulator is not None:  # a fault here should not cost a fit
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
@@ -107,7 +109,7 @@ def clean_case(
 
 def _not_stated(case: Case, file: Jpeg | None) -> list[str]:
     """The effects that are offered, but for what the file's header states."""
-    stated = raw_jpeg.stated_by(file)
+    stated = stated_by(file)
     if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
         stated.add("double_compression")
     return [name for name in case.offered if name not in stated]
@@ -213,7 +215,7 @@ def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
     if "double_compression" not in model.effects:
         return model, ()
     place = earlier_grid(to_steps(pairs.pictures)[..., 0])
-    return raw_jpeg.with_earlier_grid(model, place), ("double_compression",) if place != (0, 0) else ()
+    return with_earlier_grid(model, place), ("double_compression",) if place != (0, 0) else ()
 
 
 def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:

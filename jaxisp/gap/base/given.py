@@ -14,8 +14,8 @@ import numpy as np
 from jaxisp.camera import with_cfa
 from jaxisp.gap.base.given_chain import check_recipe, demosaics, flat_nodes, makes_mosaic, renamed, with_file
 from jaxisp.gap.base.plain_clean import read_out
-from jaxisp.gap.base.raw_jpeg import with_choice
-from jaxisp.gap.objective.pixels import to_steps
+from jaxisp.gap.pairs.pairs import to_steps
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import Effect, Move
 from jaxisp.gap.simulator.model import Coordinate, Model, build, is_file
 from jaxisp.gap.simulator.render import Kept, render

@@ -16,9 +16,10 @@ from jaxisp.errors import InputError
 from jaxisp.gap.base.given import Given, Open, believed
 from jaxisp.gap.base.given_chain import demosaics, flat_nodes, renamed, with_file
 from jaxisp.gap.base.plain_clean import Camera, narrowed
-from jaxisp.gap.base.raw_jpeg import with_choice
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Coordinate, build, plain_freedom
 from jaxisp.gap.simulator.render import Kept, render

@@ -9,7 +9,8 @@ from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.priors import plain_prior, usual_matrix
 from jaxisp.gap.base.sensor import find_sensor
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem, to_steps
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs, to_steps
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.base.plain_clean import balances, noise_freedom
+from jaxisp.gap.features.tolerances import noise_only
 from jaxisp.gap.gauss_newton import fit
 from jaxisp.gap.objective.starts import noise_indices, told_by_noise
-from jaxisp.gap.objective.tolerances import noise_only
 from jaxisp.gap.simulator.model import Model
 
 Rebase = Callable[[Model, np.ndarray], Model]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.gap.base.given import Open
-from jaxisp.gap.objective.tolerances import noise_only
+from jaxisp.gap.features.tolerances import noise_only
 from jaxisp.pipeline import signature
 
 

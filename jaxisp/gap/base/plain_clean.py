@@ -9,7 +9,16 @@ import numpy as np
 
 from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.simulator.effects import Effect, Move
-from jaxisp.gap.simulator.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
+from jaxisp.gap.simulator.model import (
+    COMPANDING,
+    EXPANSION,
+    HALVED,
+    MIXING,
+    Coordinate,
+    Model,
+    build,
+    plain_freedom,
+)
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
@@ -22,8 +31,6 @@ _USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
 """What sensors need in daylight and indoors, and by how much that differs."""
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
-MIXING = "mixing"
-"""The node that takes what the sensor saw back to the clean picture's colours."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _COMPANDED = (COMPANDING, EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.parallel import each
 from jaxisp.gap.simulator.model import ROOTED
 from jaxisp.pipeline import Params

@@ -17,11 +17,12 @@ import optax
 from flax import nnx
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.gap.case import Case, Gap, Split
+from jaxisp.gap.case import Case, Gap
 from jaxisp.gap.downstream.networks import programs
 from jaxisp.gap.gauss_newton import fit
 from jaxisp.gap.objective.pixels import Problem
 from jaxisp.gap.objective.statistics import StatisticsProblem
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.refit import searched
 from jaxisp.models.layers import conv
 from jaxisp.train.step import split_model

@@ -17,10 +17,10 @@ import numpy as np
 import optax
 from flax import nnx
 
-from jaxisp.gap.base.raw_jpeg import TILES
 from jaxisp.gap.case import Case, Downstream
 from jaxisp.gap.downstream.networks import programs
-from jaxisp.gap.objective.pixels import BORDER
+from jaxisp.gap.pairs.crops import TILES
+from jaxisp.gap.pairs.pairs import BORDER
 from jaxisp.gap.pairs.scenes import scene_name
 from jaxisp.gap.simulator.model import Model
 from jaxisp.io.files import atomic_write

@@ -13,7 +13,7 @@ import numpy as np
 from jaxisp import cfa as bayer
 from jaxisp.arrays.barriers import materialize
 from jaxisp.color import ycbcr_to_rgb_planes
-from jaxisp.gap.base.plain_clean import MIXING
+from jaxisp.gap.simulator.model import MIXING
 from jaxisp.pipeline import Params, run, stage
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))

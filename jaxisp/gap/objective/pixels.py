@@ -5,9 +5,8 @@ pictures: they exist where a derivative does not (medians, choices, roundings).
 """
 
 import copy
-import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,51 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.regression import where
-from jaxisp.gap.case import Ladders, Rows
+from jaxisp.gap.objective.starts import Ladders
+from jaxisp.gap.pairs.pairs import BORDER, Pairs, to_steps
 from jaxisp.gap.pairs.scenes import by_scene, scene_name
+from jaxisp.gap.pairs.stored import as_stored
 from jaxisp.gap.parallel import each
 from jaxisp.gap.simulator.model import Choice, Model
 from jaxisp.io import Jpeg
-from jaxisp.pipeline import run, stage
-from jaxisp.stages.jpeg import JpegTables
-
-BORDER = 8
-
-
-@dataclasses.dataclass(frozen=True)
-class Pairs:
-    """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
-    and `mask` (N, H, W) of the pixels that count; `again` is a scene's light as the compression of its file
-    leaves it once more, None where there was none."""
-
-    names: tuple[str, ...]
-    light: jax.Array
-    pictures: np.ndarray
-    mask: np.ndarray
-    again: jax.Array | None = None
-
-    def relit(self, change: Callable[[jax.Array], jax.Array]) -> "Pairs":
-        """With this done to the light."""
-        again = None if self.again is None else change(self.again)
-        return dataclasses.replace(self, light=change(self.light), again=again)
-
-    def take(self, which: Sequence[int]) -> "Pairs":
-        index = np.asarray(which)
-        names = tuple(self.names[i] for i in index)
-        own = self.relit(lambda light: light[index])
-        return dataclasses.replace(own, names=names, pictures=self.pictures[index], mask=self.mask[index])
-
-
-def to_steps(pictures: np.ndarray) -> np.ndarray:
-    """(..., 3) RGB in [0, 1] to (..., 3) Y'CbCr in 8-bit steps, float32."""
-    return np.asarray(_to_steps(pictures))
-
-
-@jax.jit
-def _to_steps(pictures: jax.Array) -> jax.Array:
-    return 255 * jnp.stack(rgb_to_ycbcr_planes(*jnp.moveaxis(jnp.asarray(pictures, jnp.float32), -1, 0)), -1)
 
 
 class Problem:
@@ -241,25 +204,6 @@ def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.A
     return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)
 
 
-def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
-    """(3, 3) colour matrix by least squares in linear light over means of blocks.
-
-    Args:
-        light: (N, H, W, 3) white-balanced camera RGB.
-        pictures: (N, H, W, 3) encoded.
-        mask: (N, H, W).
-    """
-    linear = srgb_to_linear(pictures)
-
-    def means(a: np.ndarray) -> np.ndarray:
-        n, h, w, c = a.shape
-        a = a[:, : h // block * block, : w // block * block]
-        return a.reshape(n, h // block, block, w // block, block, c).mean((2, 4)).reshape(-1, c)
-
-    whole = means(mask[..., None].astype(np.float32))[:, 0] == 1
-    return np.linalg.lstsq(means(light)[whole], means(linear)[whole], rcond=None)[0].T
-
-
 def floor_difference(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
     """(N, h, w, 3) what rounding and the file's own compression do to the simulator's pictures, in steps."""
     whole = problem.model.render(problem.z, problem.pairs.light)
@@ -272,12 +216,3 @@ def floor_errors(problem: Problem, difference: np.ndarray) -> np.ndarray:
     # weighed by its own size, as the real residual is by its own
     counted = problem.robust_weights(difference) * problem.pairs.mask[problem.inner]
     return (difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2))
-
-
-def as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
-    """(H, W, 3) encoded, as a file with this one's header would have it; rounded where that says nothing."""
-    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
-        return np.round(255 * picture) / 255
-    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
-    encoder = stage("jpeg_tables", subsampling=file.subsampling)
-    return np.asarray(run(encoder, {encoder.name: JpegTables(luma_table=luma, chroma_table=chroma)}, picture))

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxisp.gap.base.plain_clean import MIXING
-from jaxisp.gap.case import Ladders
 from jaxisp.gap.simulator.effects import EFFECTS
-from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.model import MIXING, Model
 from jaxisp.pipeline import signature
+
+Ladders = list[list[np.ndarray]]
+"""Points to begin at; those of one list differ in how much noise the base has, from rung to rung more."""
+
 
 _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
              "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip

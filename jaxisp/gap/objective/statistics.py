@@ -11,15 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.statistics import credited, in_one_place, located
-from jaxisp.gap.case import Ladders, Part, Rows, Split
 from jaxisp.gap.features.mean import Maps, normalised_regressors
 from jaxisp.gap.features.quantization import Codes
 from jaxisp.gap.features.residual_statistics import features, frames_of, mean_features
-from jaxisp.gap.objective import tones
-from jaxisp.gap.objective.pixels import BORDER, Pairs, to_steps
-from jaxisp.gap.objective.starts import noisier, placed, starts, told_by_noise
-from jaxisp.gap.objective.tolerances import (
+from jaxisp.gap.features.tolerances import (
     by_place,
     emphasis,
     emphasised,
@@ -29,7 +26,11 @@ from jaxisp.gap.objective.tolerances import (
     units,
     weights,
 )
-from jaxisp.gap.pairs.scenes import by_scene, scene_name
+from jaxisp.gap.objective import tones
+from jaxisp.gap.objective.protocol import Part
+from jaxisp.gap.objective.starts import Ladders, noisier, placed, starts, told_by_noise
+from jaxisp.gap.pairs.pairs import BORDER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split, by_scene, scene_name
 from jaxisp.gap.parallel import each
 from jaxisp.gap.simulator.model import Choice, Model
 

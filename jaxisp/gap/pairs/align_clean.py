@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter
 from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
-from jaxisp.gap.base import raw_jpeg
-from jaxisp.gap.objective.pixels import BORDER, Pairs, as_stored
 from jaxisp.gap.pairs.align_raw import Laid, row
+from jaxisp.gap.pairs.crops import common_crop, in_halves, usable
+from jaxisp.gap.pairs.pairs import BORDER, Pairs
+from jaxisp.gap.pairs.stored import as_stored
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.io.orientation import orient
@@ -48,7 +49,7 @@ def on_each_other(loaded: Sequence[Loaded]) -> Laid:
     if not frames:
         raise InputError("; ".join(reason for _, reason in laid.failed))
     whole = {pair.name: pair for pair in loaded}
-    for pair, crop in zip(frames.values(), raw_jpeg.common_crop([*frames.values()])):
+    for pair, crop in zip(frames.values(), common_crop([*frames.values()])):
         own, place = _cropped(pair, crop)
         orientation = turned_place(own.picture, _light(np.asarray(own.clean)), place)[1]
         upright = _framed(_turned(whole[pair.name], orientation)) if orientation != 1 else None
@@ -79,7 +80,7 @@ def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
     names = tuple(p.name for p in loaded)
     seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
     light, again = jnp.asarray(clean, jnp.float32), _compressed_again(clean, [p.clean_file for p in loaded])
-    return raw_jpeg.in_halves(Pairs(names, light, pictures, raw_jpeg.usable(seen), again))
+    return in_halves(Pairs(names, light, pictures, usable(seen), again))
 
 
 _GRIDS = ((0, 0), (3, 3), (5, 5))

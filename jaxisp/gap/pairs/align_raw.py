@@ -11,8 +11,9 @@ from jaxisp.camera import shaded_mosaic
 from jaxisp.cfa import shifted
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, estimate, same_scene, warp
-from jaxisp.gap.objective.pixels import BORDER
+from jaxisp.gap.pairs.crops import common_crop, in_halves, usable
 from jaxisp.gap.pairs.headers import stated_warp
+from jaxisp.gap.pairs.pairs import BORDER, Pairs
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import run, stage
 
@@ -123,3 +124,13 @@ def _cut(pair: Loaded, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
     raw = dataclasses.replace(pair.raw, mosaic=cut, crop=crop, cfa=shifted(pair.raw.cfa, *starts))
     done = "resampled" if stretch > _STRETCH else "cut"
     return dataclasses.replace(pair, raw=raw, picture=picture[of_picture]), done
+
+
+def raw_pairs(loaded: Sequence[Loaded]) -> Pairs:
+    """RAW+JPEG pairs, cropped alike; what the sensor or the file clipped does not count."""
+    loaded = list({p.name: p for p in loaded}.values())
+    crops = common_crop(loaded)
+    light = np.stack([shaded_mosaic(p.raw)[c] for p, c in zip(loaded, crops) if p.raw is not None])
+    pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
+    names = tuple(p.name for p in loaded)
+    return in_halves(Pairs(names, jnp.asarray(light, jnp.float32), pictures, usable(pictures)))

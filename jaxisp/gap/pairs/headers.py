@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.io.opcodes import optical_centre
 from jaxisp.stages.optics import RectilinearWarp
 
@@ -53,3 +54,10 @@ def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[
 
 def _sampling(pair: Loaded) -> str:
     return f"JPEG, {pair.jpeg.subsampling}" if pair.jpeg else "no JPEG"
+
+
+def stated_by(file: Jpeg | None) -> set[str]:
+    """The effects that a file's header tells all about, and that are not looked for."""
+    if file is None:
+        return set()
+    return {"jpeg_quantization"} | ({"chroma_subsampling"} if file.subsampling != "4:4:4" else set())

@@ -9,7 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import Gap, Measured, Rows
+from jaxisp.gap.axes import Rows
+from jaxisp.gap.case import Gap
+from jaxisp.gap.objective.protocol import Measured
 from jaxisp.gap.search.refit import FARTHEST
 from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, EFFECTS, RAW_JPEG
 

@@ -13,9 +13,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
 
 from jaxisp.color import ycbcr_to_rgb_planes
-from jaxisp.gap.case import Split
+from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.objective.pixels import Problem
-from jaxisp.gap.search.refit import Trial, interval
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.refit import Trial
 from jaxisp.gap.search.screening import LEADING
 
 Cause = tuple[Trial, list[str]]

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import Measured, Split
 from jaxisp.gap.gauss_newton import modest, solve
+from jaxisp.gap.objective.protocol import Measured
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.parallel import each
 from jaxisp.gap.search.refit import FARTHEST, NEARER, Trial, distant, lowest, searched, switched_on
 from jaxisp.gap.simulator.effects import EFFECTS

@@ -6,12 +6,14 @@ Works on anything that has the columns and errors of a `Problem`, residuals or s
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import Measured, Split
+from jaxisp.gap.case import Tick
 from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.protocol import Measured
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.parallel import each
 from jaxisp.gap.search.refit import NEARER, Trial, Whole, distance, nearest_form, refit
 from jaxisp.gap.search.screening import (
@@ -29,7 +31,6 @@ from jaxisp.gap.simulator.model import Model
 
 _REFITTED = 6  # of those that screening promises most of
 
-Tick = Callable[[int, int, str], Any]
 Forms = dict[str, np.ndarray]
 
 

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import LEAST_UNIT, NULL_DROP, NULL_EXCESS, Case, Gap, Measured
+from jaxisp.gap.case import LEAST_UNIT, MOST_CAUSES, NULL_DROP, NULL_EXCESS, Case, Gap, Tick
+from jaxisp.gap.objective.protocol import Measured
 from jaxisp.gap.search.account import Shown, accounted, shown
 from jaxisp.gap.search.film_grain import Cause, grain_trial, with_grain
 from jaxisp.gap.search.refit import SMALLEST, Trial, Whole
 from jaxisp.gap.search.screening import LEADING
-from jaxisp.gap.search.stepwise import Terms, Tick, replayed, search
+from jaxisp.gap.search.stepwise import Terms, replayed, search
 from jaxisp.gap.simulator.effects import RAW_JPEG
 from jaxisp.gap.simulator.model import Model
 
-MOST_CAUSES = 3
 APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
 """By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
 statistics by what is harmless, in pixels by a share of the gap only."""

@@ -300,3 +300,7 @@ def plain_freedom() -> list[Coordinate]:
     ]
     curve = [Coordinate("tone_curve", Move("offsets", 0.02, -0.6, 0.6, (i,))) for i in range(KNOTS)]
     return [Coordinate("black_level_offset", Move("offset", 0.002, -0.1, 0.1)), *matrix, *curve]
+
+
+MIXING = "mixing"
+"""The node that takes what the sensor saw back to the clean picture's colours."""

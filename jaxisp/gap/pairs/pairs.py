@@ -1,0 +1,46 @@
+"""What is compared: light, pictures, and the pixels that count."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxisp.color import rgb_to_ycbcr_planes
+
+BORDER = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Pairs:
+    """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
+    and `mask` (N, H, W) of the pixels that count; `again` is a scene's light as the compression of its file
+    leaves it once more, None where there was none."""
+
+    names: tuple[str, ...]
+    light: jax.Array
+    pictures: np.ndarray
+    mask: np.ndarray
+    again: jax.Array | None = None
+
+    def relit(self, change: Callable[[jax.Array], jax.Array]) -> "Pairs":
+        """With this done to the light."""
+        again = None if self.again is None else change(self.again)
+        return dataclasses.replace(self, light=change(self.light), again=again)
+
+    def take(self, which: Sequence[int]) -> "Pairs":
+        index = np.asarray(which)
+        names = tuple(self.names[i] for i in index)
+        own = self.relit(lambda light: light[index])
+        return dataclasses.replace(own, names=names, pictures=self.pictures[index], mask=self.mask[index])
+
+
+def to_steps(pictures: np.ndarray) -> np.ndarray:
+    """(..., 3) RGB in [0, 1] to (..., 3) Y'CbCr in 8-bit steps, float32."""
+    return np.asarray(_to_steps(pictures))
+
+
+@jax.jit
+def _to_steps(pictures: jax.Array) -> jax.Array:
+    return 255 * jnp.stack(rgb_to_ycbcr_planes(*jnp.moveaxis(jnp.asarray(pictures, jnp.float32), -1, 0)), -1)
