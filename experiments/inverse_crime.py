@@ -8,12 +8,12 @@ how much of what they show is the method and how much their being others. A run 
 """
 
 import argparse
-import copy
+import dataclasses
 import json
 import shutil
 import tempfile
 import zlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +28,10 @@ from experiments.withheld.tables import table, wilson
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.clean_noisy import clean_case
 from jaxisp.gap.base.plain_raw import raw_model
-from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates
+from jaxisp.gap.simulator.model import Model
 from jaxisp.io.datasets import open_dataset
 from jaxisp.io.files import write_text
 
@@ -52,8 +53,8 @@ class Arm(NamedTuple):
         told: of the page, that in words.
     """
 
-    base: Callable[[Path], Any]
-    size: Callable[[Any, np.ndarray], float]
+    base: Callable[[Path], "Own"]
+    size: Callable[["Own", np.ndarray], float]
     wanted: float
     shown: float
     taken_up: Collection[str]
@@ -61,26 +62,58 @@ class Arm(NamedTuple):
     told: str
 
 
-def raw_base(folder: Path) -> Problem:
+class Own(NamedTuple):
+    """The package's own camera.
+
+    Attributes:
+        model: all effects in it, off.
+        names: of the pairs.
+        rendered: the pictures (N, H, W, 3) at a point, with the noise that a diagnosis draws or with another.
+        error: what a diagnosis would leave at a point, in its own unit.
+    """
+
+    model: Model
+    names: Sequence[str]
+    rendered: Callable[[np.ndarray, bool], np.ndarray]
+    error: Callable[[np.ndarray], float]
+
+
+def raw_base(folder: Path) -> Own:
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
     pairs = raw_pairs(loaded)
-    base = raw_model(loaded, pairs, candidates(RAW_JPEG), range(0, len(loaded), 2))
-    return Problem(base.model, pairs)
+    model = raw_model(loaded, pairs, candidates(RAW_JPEG), range(0, len(loaded), 2)).model
+    objective = PixelObjective.of(pairs)
+    return Own(
+        model,
+        pairs.names,
+        lambda z, other: objective.rendered(model, z),
+        lambda z: objective.at(model, z).error,
+    )
 
 
-def noisy_base(folder: Path) -> Any:
+def noisy_base(folder: Path) -> Own:
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
-    return clean_case(loaded, None, (), 0, lambda *at: None).problem
+    case = clean_case(loaded, None, (), 0, lambda *at: None)
+    assert case.statistics is not None
+    model, objective = case.point.model, case.statistics
+    seeds = [objective.measure, dataclasses.replace(objective.measure, seed=1)]
+    return Own(
+        model,
+        case.pairs.names,
+        lambda z, other: seeds[other].rendered(model, z),
+        lambda z: objective.at(model, z).error,
+    )
 
 
-def steps(problem: Any, z: np.ndarray) -> float:
+def steps(own: Own, z: np.ndarray) -> float:
     """Root mean square change of the pictures, in 8-bit steps."""
-    return float(255 * np.sqrt(np.mean((problem.rendered(z) - problem.rendered(problem.z)) ** 2)))
+    change = own.rendered(z, False) - own.rendered(np.zeros_like(z), False)
+    return float(255 * np.sqrt(np.mean(change**2)))
 
 
-def floors(problem: Any, z: np.ndarray) -> float:
+def floors(own: Own, z: np.ndarray) -> float:
     """The gap to the body's pictures, in which nothing is missing."""
-    return float(problem.errors(z).mean())
+    return own.error(z)
 
 
 ARMS = {
@@ -95,48 +128,46 @@ ARMS = {
 }  # fmt: skip
 
 
-def direction(problem: Any, name: str) -> np.ndarray:
+def direction(model: Model, name: str) -> np.ndarray:
     """Drawn moves of all of an effect's parameters, as many probes wide."""
-    own = problem.model.indices([name])
+    own = model.indices([name])
     drawn = np.random.default_rng(zlib.crc32(name.encode())).standard_normal(len(own))
-    low, high = problem.model.ranges[:, own]
-    steps = problem.model.steps[own]
+    low, high = model.ranges[:, own]
+    steps = model.steps[own]
     # shares and amounts may go a little below none, which is not what they are for
     one_sided = (low >= -0.2) & (steps > 0)
-    towards = np.zeros(len(problem.model.coordinates))
+    towards = np.zeros(len(model.coordinates))
     towards[own] = steps * np.where(one_sided | (high <= 0), np.abs(drawn), drawn)
     return towards
 
 
-def strong(arm: Arm, problem: Any, name: str) -> np.ndarray:
+def strong(arm: Arm, own: Own, name: str) -> np.ndarray:
     """A point with the effect as strong as wanted, or as strong as its range allows."""
-    towards = direction(problem, name)
-    low, high = problem.model.ranges
+    towards = direction(own.model, name)
+    low, high = own.model.ranges
 
     def at(length: float) -> np.ndarray:
-        return np.where(towards == 0, problem.z, np.clip(problem.z + length * towards, low, high))
+        return np.where(towards == 0, 0.0, np.clip(length * towards, low, high))
 
     shortest, longest = 0.0, 8.0
-    if arm.size(problem, at(longest)) > arm.wanted:
+    if arm.size(own, at(longest)) > arm.wanted:
         for _ in range(12):
             middle = (shortest + longest) / 2
-            less = arm.size(problem, at(middle)) < arm.wanted
+            less = arm.size(own, at(middle)) < arm.wanted
             shortest, longest = (middle, longest) if less else (shortest, middle)
     return at(longest)
 
 
-def examine(arm: Arm, problem: Any, base: Path, name: str) -> dict[str, Any]:
-    z = strong(arm, problem, name)
-    other = copy.copy(problem)
-    other.seed = 1  # of noise that the diagnosis does not draw
+def examine(arm: Arm, own: Own, base: Path, name: str) -> dict[str, Any]:
+    z = strong(arm, own, name)
     body = BODIES[BODY]
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         shutil.copytree(base, folder, dirs_exist_ok=True)
-        for pair, picture in zip(problem.pairs.names, other.rendered(z)):
+        for pair, picture in zip(own.names, own.rendered(z, True)):
             pixels = np.rint(255 * picture).astype(np.uint8)
             (folder / f"{pair}.jpg").write_bytes(compressed(pixels, body.quality, "4:4:4"))
-        return {"effect": name, "size": round(arm.size(problem, z), 2)} | kept(diagnose(folder).report)
+        return {"effect": name, "size": round(arm.size(own, z), 2)} | kept(diagnose(folder).report)
 
 
 def page(kind: str, found: dict[str, Any], out: Path) -> str:
@@ -188,11 +219,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         base = Path(temporary)
         write(base, BODY, {}, kind, "two")
-        problem = ARMS[kind].base(base)
+        own = ARMS[kind].base(base)
         for name in sorted(e.name for e in EFFECTS.values() if kind in e.shows_in):
             if name in ARMS[kind].elsewhere or name in found:
                 continue
-            found[name] = examine(ARMS[kind], problem, base, name)
+            found[name] = examine(ARMS[kind], own, base, name)
             write_text(out, json.dumps(found, indent=1) + "\n")
             print(name, found[name]["size"], found[name]["verdict"], found[name]["causes"], flush=True)
     write_text(out.with_suffix(".md"), page(kind, found, out))

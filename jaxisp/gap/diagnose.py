@@ -6,42 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxisp.errors import InputError
-from jaxisp.gap.axes import Rows
-from jaxisp.gap.axes.interval import interval
-from jaxisp.gap.axes.null_bank import CLEAR, held_against_nulls
+from jaxisp.gap.base.clean_noisy import clean_case
 from jaxisp.gap.base.raw_jpeg import raw_case
-from jaxisp.gap.case import MOST_CAUSES, NULL_DROP, NULL_EXCESS, Case, Downstream, Gap, Tick
+from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.downstream.ceiling import reducible
-from jaxisp.gap.pairs.align_clean import on_each_other
-from jaxisp.gap.pairs.align_raw import Laid, in_one_frame
-from jaxisp.gap.pairs.crops import SMALLEST
-from jaxisp.gap.pairs.headers import of_one_sampling
-from jaxisp.gap.report import advice
+from jaxisp.gap.downstream.options import Downstream
+from jaxisp.gap.pairs.align_raw import Aligned
+from jaxisp.gap.pairs.read import aligned_pairs
+from jaxisp.gap.report.document import after, is_gap, report_of
+from jaxisp.gap.report.page import write_report
 from jaxisp.gap.report.pictures import example
-from jaxisp.gap.report.record import (
-    NO_COLOURS,
-    NO_HEADER,
-    STATED,
-    TAKEN_UP,
-    base_row,
-    cause_row,
-    ranking_rows,
-)
-from jaxisp.gap.search.verdict import Found, gap_at, searched
+from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import RAW_JPEG
-from jaxisp.gap.simulator.model import Model
-from jaxisp.io.datasets import Loaded, open_dataset
+from jaxisp.io.datasets import open_dataset
 from jaxisp.recipe import Recipe
-
-METRIC = {
-    RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
-    "summed over the three channels, large errors of single edges weighed down",
-    "clean+noisy": "mean square difference of the statistics of the residual, mean error included, in "
-    "units of what is harmless or chance (squared), those weighed up that differ on the fitted pairs",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,8 +44,6 @@ class Diagnosis:
 
     def save(self, folder: str | Path) -> Path:
         """Write report.json and report.html into a folder; returns the page."""
-        from jaxisp.gap.report.page import write_report
-
         return write_report(self.report, self.pictures, folder)
 
 
@@ -76,6 +54,7 @@ def diagnose(
     recipe: Recipe | None = None,
     exclude: Sequence[str] = (),
     downstream: Downstream | None = None,
+    criteria: Criteria | None = None,
     seed: int = 0,
     tick: Tick = lambda done, total, text: None,
 ) -> Diagnosis:
@@ -95,6 +74,7 @@ def diagnose(
         downstream: how to train small denoisers without and with the accepted effects, or with what comes
             nearest, measured on the held-out pairs; needs clean+noisy pairs, two scenes or more. None: that
             is left out.
+        criteria: what the verdict is decided by; None: those of the kind of pairs.
         seed: of the simulated noise.
         tick: called with (done, total, text).
 
@@ -106,200 +86,73 @@ def diagnose(
     clock = time.perf_counter()
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
-    case, laid = _case(dataset, camera, recipe, downstream, exclude, seed, tick)
-    problem = case.problem
-    gap = gap_at(case)
-    pictures = example(case, "before")
-    base = problem.model, problem.z.copy()
+    data = open_dataset(dataset)
+    _check_kind(dataset, data.kind, recipe, downstream)
+    aligned = aligned_pairs(data)
+    case = _with_base(data.kind, aligned, camera, recipe, exclude, seed, tick)
+    case = case if criteria is None else dataclasses.replace(case, criteria=criteria)
+    gap = case.gap()
+    pictures = example(case, case.point, "before")
     found = searched(case, gap, tick)
-    report = _report(case, gap, found, base, tick)
-    report["pairs"] |= _laid(laid, case.strays)
+    lower = None
+    if is_gap(case, gap, found):
+        most = case.criteria.most_causes
+        tick(most - 1, most, "what flexible models reach")
+        refits = [t.after for t in (*found.trials.values(), *found.nearest)]
+        lower = reducible(case, gap, found.point, after(gap, found), refits)
+    report = report_of(case, gap, found, aligned, lower)
     if downstream is not None:
-        report["downstream"] = _trained(case, base, found, downstream, tick)
+        report["downstream"] = _trained(case, found, downstream, tick)
     if found.causes:
-        pictures |= example(case, "after")
+        pictures |= example(case, found.point, "after")
     report["seconds"] = round(time.perf_counter() - clock, 2)
     return Diagnosis(report, pictures)
 
 
-def _laid(laid: Laid, strays: Sequence[str]) -> dict[str, Any]:
-    """What was done to the pairs, and which are not among those that were fitted or held out."""
-    rows = {row["name"]: row for row in laid.rows}
-    return {
-        "aligned": [row for name, row in rows.items() if name not in strays],
-        "left_out": [
-            {"name": name, "reason": _STRAY if rows[name]["certain"] else _TWO_SCENES} for name in strays
-        ],
-        "failed": [{"file": name, "reason": reason} for name, reason in laid.failed],
-    }
-
-
-def _report(case: Case, gap: Gap, found: Found, base: tuple[Model, np.ndarray], tick: Tick) -> dict[str, Any]:
-    """report.json, but for the seconds and what could not be used."""
-    problem, names, held = case.problem, case.problem.pairs.names, case.split.held_out
-    there = bool(found.causes) or gap.exceeds(NULL_EXCESS[case.kind])
-    after = found.causes[-1][0].after if found.causes else gap.before
-    apart = dict.fromkeys(problem.model.effects, STATED) | {"double_compression": NO_HEADER}
-    apart |= dict.fromkeys(case.absorbed, TAKEN_UP) | dict.fromkeys(case.unsaid, NO_COLOURS)
-    tried = len(case.offered) + (case.stored is not None)  # and film grain
-    causes = [cause_row(t, alike, tried, problem.model) for t, alike in found.causes]
-    ended = problem.model.params(problem.z) if causes else None
-    reached, where = {}, held_against_nulls(found.before.where, case.kind, gap.before, gap.unit)
-    if there:
-        tick(MOST_CAUSES - 1, MOST_CAUSES, "what flexible models reach")
-        refits = [t.after for t in (*found.trials.values(), *found.nearest)]
-        reached = {"reducible": reducible(case, gap, after, refits, NULL_DROP[case.kind])}
-    return {
-        "schema": 1,
-        "kind": case.kind,
-        "base": base_row(*base, case.absorbed, case.given, (*case.open_nodes, *case.unsaid), ended),
-        "pairs": {
-            "fit": [names[i] for i in case.split.fit],
-            "held_out": [names[i] for i in held],
-            "pixels": int(problem.pairs.mask[problem.inner].sum()),
-        },
-        "gap": {
-            "metric": METRIC[case.kind], "before": gap.before, "after": after, "floor": gap.floor,
-            "ci": _interval(problem, held, after), "axes": {row["axis"]: row["size"] for row in where},
-        } | reached | _statistics(found.before.rows),
-        "verdict": "effect" if causes else "unknown" if there else "none",
-        "causes": causes,
-        "ranking": ranking_rows(found, apart, gap.scale),
-        "where": where if there else [],
-        "unexplained": _unexplained(found, after, case.kind, gap, there),
-        "seconds": 0.0,
-    }  # fmt: skip
-
-
-def _case(
-    dataset: str | Path,
-    camera: Recipe | None,
-    recipe: Recipe | None,
-    downstream: Downstream | None,
-    exclude: Sequence[str],
-    seed: int,
-    tick: Tick,
-) -> tuple[Case, Laid]:
-    """The pairs read, laid on each other and the base put before them; with all that could not be used."""
-    found = open_dataset(dataset)
-    if found.kind == RAW_JPEG and recipe is not None:
+def _check_kind(dataset: str | Path, kind: str, recipe: Recipe | None, downstream: Downstream | None) -> None:
+    """Raise InputError where pairs of this kind cannot be asked for that."""
+    if kind == RAW_JPEG and recipe is not None:
         raise InputError(
             f"{dataset}: a recipe simulates clean+noisy pairs, these are RAW+JPEG; give a camera (--camera)"
         )
-    if found.kind == RAW_JPEG and downstream is not None:
+    if kind == RAW_JPEG and downstream is not None:
         raise InputError(
             f"{dataset}: denoisers (--downstream) are measured against clean pictures, which RAW+JPEG pairs "
             "do not have; give clean+noisy pairs"
         )
-    read, failed = _load(found.pairs)
-    read, odd = of_one_sampling(read)
-    failed = [(path.name, f"{path}: {reason}") for path, reason in found.problems] + failed + odd
-    laid = in_one_frame(read) if found.kind == RAW_JPEG else on_each_other(read)
-    laid = laid._replace(failed=failed + laid.failed)
-    loaded = 2 * laid.kept if len(laid.kept) == 1 else laid.kept  # one's tiles are told apart by masks
-    if found.kind == RAW_JPEG:
-        return raw_case(loaded, camera, exclude, tick), laid
-    from jaxisp.gap.base.clean_noisy import clean_case
-
-    is_camera = camera is not None
-    doubted = [row["name"] for row in laid.rows if not row["certain"]]
-    case = clean_case(loaded, camera or recipe, exclude, seed, tick, is_camera=is_camera, doubted=doubted)
-    return case, laid
 
 
-_TWO_SCENES = "its two pictures are hardly alike, and far from what fits the others: they show two scenes"
-_STRAY = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
+def _with_base(
+    kind: str,
+    aligned: Aligned,
+    camera: Recipe | None,
+    recipe: Recipe | None,
+    exclude: Sequence[str],
+    seed: int,
+    tick: Tick,
+) -> Case:
+    """The pairs with the base of their kind before them."""
+    # the tiles of one that is alone are told apart by masks
+    loaded = 2 * aligned.kept if len(aligned.kept) == 1 else aligned.kept
+    if kind == RAW_JPEG:
+        return raw_case(loaded, camera, exclude, tick)
+    uncertain = [row["name"] for row in aligned.rows if not row["certain"]]
+    simulator, is_camera = camera or recipe, camera is not None
+    return clean_case(loaded, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain)
 
 
-def _trained(
-    case: Case, base: tuple[Model, np.ndarray], found: Found, how: Downstream, tick: Tick
-) -> dict[str, Any]:
+def _trained(case: Case, found: Found, how: Downstream, tick: Tick) -> dict[str, Any]:
     """Denoisers without and with the causes, or with what comes nearest where there is none."""
     from jaxisp.gap.downstream.denoisers import measure_downstream
 
-    near, problem = found.refused, case.problem
+    near = found.refused
     if not found.causes and near is None:
         return {"skipped": "no effect comes near: there is nothing to train with and without"}
-    place = (problem.model, problem.z) if near is None else (near.model, near.z)
-    named = found.causes if near is None else near.causes
-    measured = measure_downstream(case, {"without": base, "with": place}, how, tick)
+    point, named = (found.point, found.causes) if near is None else (near.point, near.causes)
+    measured = measure_downstream(case, {"without": case.point, "with": point}, how, tick)
     return measured | {"effects": [trial.effect for trial, _ in named]}
 
 
 def diagnose_folder(folder: str | Path, **options: Any) -> dict[str, Any]:
     """`diagnose`, as the dictionary that report.json holds."""
     return diagnose(folder, **options).report
-
-
-def _load(pairs: Sequence[Any]) -> tuple[list[Loaded], list[tuple[str, str]]]:
-    loaded, failed = [], []
-    for pair in pairs:
-        try:
-            loaded.append(_large_enough(pair.load()))
-        except InputError as error:
-            failed.append((pair.name, str(error)))
-    if not loaded:
-        raise InputError("; ".join(reason for _, reason in failed))
-    return loaded, failed
-
-
-def _large_enough(pair: Loaded) -> Loaded:
-    first = pair.clean if pair.raw is None else pair.raw.mosaic
-    sizes = [a.shape[:2] for a in (first, pair.picture) if a is not None]
-    for height, width in sizes:
-        if min(height, width) < SMALLEST:
-            wanted = f"{SMALLEST} or more a side"
-            raise InputError(
-                f"{pair.name}: {width}x{height} px are too few to be diagnosed, expected {wanted}"
-            )
-    return pair
-
-
-def _statistics(rows: Rows) -> dict[str, Any]:
-    """Of clean+noisy pairs each statistic's difference before any cause, in units of what is harmless or
-    chance, and how much it counts: the gap is the mean of their squares, so weighed."""
-    found = {
-        f"{row['axis']} {name}": [value, weight]
-        for row in rows
-        for name, value, weight in zip(row["bins"], row["profile"], row.get("weights", ()))
-    }
-    return {"statistics": found} if found else {}
-
-
-def _interval(problem: Any, held: Sequence[int], after: float) -> list[float]:
-    """Of what is left; film grain moves no parameter, so its part is taken off every picture alike."""
-    left = problem.units(problem.z)[list(held)]
-    share = after / max(float(np.nanmean(left)), 1e-12)
-    return list(interval(problem.clustered(share * left, held), 1.0))
-
-
-def _unexplained(found: Found, after: float, kind: str, gap: Gap, there: bool) -> dict[str, Any]:
-    def axes(rows: Rows, at: float) -> list[str]:
-        sure = [row for row in rows if row["p_value"] < _BY_CHANCE]
-        return _clear(held_against_nulls(sure, kind, at, gap.unit))
-
-    share, left = float(np.clip((after - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, after)
-    text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(left)}" if left else "")
-    text += "" if there else ", no more than cameras that lack nothing have"
-    wanted = left if found.causes else axes(found.before.where, gap.before)
-    next_one = advice.about(wanted) if there and share >= advice.CONSIDERABLE else None
-    row = {"share": share, "axes": left, "description": text, "next_measurement": next_one}
-    if found.refused is None:
-        return row
-    causes = found.refused.causes
-    reached = causes[-1][0].after
-    nearest = {
-        "effects": [t.effect for t, _ in causes],
-        "closed": float((gap.before - reached) / gap.scale),
-        "axes": axes(found.refused.after.where, reached),
-    }
-    return row | {"nearest": nearest}
-
-
-_BY_CHANCE = 0.01
-"""Axes of what is left must be less likely by chance alone; p-values of the bank are not as fine."""
-
-
-def _clear(rows: Rows) -> list[str]:
-    """The axes that clearly have some of a gap, three at most."""
-    return [str(row["axis"]) for row in rows if row["p_value"] <= CLEAR and row["share"] > 0.02][:3]

@@ -86,6 +86,10 @@ class ChromaSubsampling:
     repeated: Leaf = param(0.0, (0.0, 1.0), "share", doc="0 restores by interpolation, 1 by repetition")
 
 
+HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
+"""By the chroma sampling of a file, `horizontal` and `vertical` of `ChromaSubsampling`; none is 4:4:4."""
+
+
 @register
 def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedRGB:
     """Halve the resolution of chroma and restore the size: averages of two, back by linear interpolation.

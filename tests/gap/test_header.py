@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from experiments.withheld.scenes import scenes
 from jaxisp.gap.base.raw_jpeg import raw_case
-from jaxisp.gap.pairs.align_raw import in_one_frame
+from jaxisp.gap.pairs.align_raw import align_raw
 from jaxisp.gap.pairs.headers import of_one_sampling, stated_warp
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.io import read_raw
@@ -78,10 +78,10 @@ def shoot(folder: Path, stated: Sequence[Opcode]) -> Path:
 
 def error(folder: Path) -> float:
     """What the fitted base leaves, in floors."""
-    laid = in_one_frame([pair.load() for pair in open_dataset(folder).pairs])
-    case = raw_case(laid.kept, None, sorted(EFFECTS), lambda *_: None)
-    assert len(laid.kept) == 3 and case.problem.earlier == EARLIER
-    return float(np.mean(case.problem.errors(case.problem.z)) / np.mean(case.floors))
+    aligned = align_raw([pair.load() for pair in open_dataset(folder).pairs])
+    case = raw_case(aligned.kept, None, sorted(EFFECTS), lambda *_: None)
+    assert len(aligned.kept) == 3 and case.pixels.earlier == EARLIER
+    return float(case.point.error / np.mean(case.floors))
 
 
 def test_a_stated_lens_is_no_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

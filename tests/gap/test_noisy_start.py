@@ -7,9 +7,9 @@ from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.base.plain_clean import Camera, primaries
 from jaxisp.gap.features.residual_statistics import feature_names
 from jaxisp.gap.features.tolerances import emphasis, emphasised, group_of, weights
-from jaxisp.gap.objective.starts import noise_indices, noisier, placed, starts, told_by_noise
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import MIXING
+from jaxisp.gap.simulator.noise import noise_indices, noisier, placed, starts, told_by_noise
 
 READ, SHOT = 0.004, 4e-4  # the defaults of the stage
 

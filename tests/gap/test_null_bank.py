@@ -5,8 +5,9 @@ import pytest
 
 from experiments.null_bank import BEYOND, LEAST, bank_of, beyond, left_out
 from jaxisp.gap.axes import null_bank
-from jaxisp.gap.axes.null_bank import CLEAR, as_large, bank, held_against_nulls
+from jaxisp.gap.axes.null_bank import as_large, bank, held_against_nulls
 from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, RAW_JPEG
 
 GAP = Gap(before=12.0, floor=2.0)
@@ -24,7 +25,7 @@ def test_the_bank_that_is_shipped():
         assert set(own["usual"]) == set(AXES), "cameras with several frames among them"
         assert all(size >= LEAST for size in own["usual"].values())
         assert len(own["largest"]) >= 100 and own["largest"] == sorted(own["largest"])
-        assert as_large(np.inf, own["largest"]) <= CLEAR < as_large(1.0, own["largest"])
+        assert as_large(np.inf, own["largest"]) <= CRITERIA[RAW_JPEG].clear < as_large(1.0, own["largest"])
 
 
 def test_usual_is_a_quantile_and_the_largest_is_over_axes(rng):

@@ -14,9 +14,6 @@ from typing import Any
 from jaxisp.gap.axes import Rows
 from jaxisp.gap.simulator.effects import RAW_JPEG
 
-CLEAR = 0.05
-"""Axes whose p-value is above are not said to have a gap."""
-
 
 def held_against_nulls(rows: Rows, kind: str, at: float, unit: float) -> list[dict[str, Any]]:
     """Axes as they are located, with what cameras that lack nothing say of them.

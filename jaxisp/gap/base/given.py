@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: a simulator that is given is the base. Its stages and its constants are believed.
+"""A simulator that is given is the base of clean+noisy pairs. Its stages and its constants are believed.
 
 What a recipe draws anew for each image it leaves open: these numbers are what they are in the real camera, as
 far as the recipe can draw them, and are fitted within the range of their priors.
@@ -73,7 +73,7 @@ class Open:
 
 
 @dataclasses.dataclass(frozen=True)
-class Given:
+class GivenBase:
     """A simulator, from linear light to the file.
 
     Attributes:
@@ -188,7 +188,7 @@ class Given:
         return next((n.name for n in reversed(nodes) if n.stochastic), nodes[0].name)
 
 
-def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | None) -> Given:
+def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | None) -> GivenBase:
     """A recipe as the base.
 
     The colour filter array is that of the pictures: which photosite comes first depends on where they were
@@ -213,7 +213,7 @@ def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | 
     nodes, tables = with_file(nodes, file)
     chain = with_choice(Chain(tuple(nodes), recipe.name))
     params, opened = believed(recipe, names, chain.init())
-    return Given(f"recipe {recipe.name}", chain, params | tables, opened)
+    return GivenBase(f"recipe {recipe.name}", chain, params | tables, opened)
 
 
 def believed(recipe: Recipe, names: Mapping[str, str], params: Params) -> tuple[Params, tuple[Open, ...]]:

@@ -12,7 +12,6 @@ from jaxisp.gap.simulator.effects import Effect, Move
 from jaxisp.gap.simulator.model import (
     COMPANDING,
     EXPANSION,
-    HALVED,
     MIXING,
     Coordinate,
     Model,
@@ -22,7 +21,7 @@ from jaxisp.gap.simulator.model import (
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.power import Gamma
 

@@ -10,20 +10,22 @@ import numpy as np
 
 from jaxisp.color import srgb_to_linear
 from jaxisp.errors import InputError
-from jaxisp.gap.base.absorbed import taken_up
+from jaxisp.gap.base.absorbed import absorbed_shares
 from jaxisp.gap.base.palette import is_colourless, start_matrix, typical_matrix
-from jaxisp.gap.case import LEAST_UNIT, NULL_DROP, Gap
+from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Problem, floor_difference, floor_errors
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.crops import common_crop
 from jaxisp.gap.pairs.headers import stated_warp
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect
 from jaxisp.gap.simulator.model import (
     ROOTED,
-    Choice,
     Coordinate,
     Model,
+    Variant,
     build,
     plain_camera,
     plain_freedom,
@@ -43,19 +45,18 @@ class Base(NamedTuple):
 
     Attributes:
         model: the base, with every effect in it, off.
-        absorbed: what the base took up of each effect that is part of it, as a share of the error that would
-            be there without.
-        choices: how it may demosaick besides.
+        absorbed: by effect that is part of it, the share of the error that would be there without.
+        choices: other ways to demosaick.
         rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
             them.
-        unsaid: effects that are part of it and that these pairs say nothing of: it has what is usual.
+        unidentifiable: effects that are part of it and that these pairs cannot show: it has what is usual.
     """
 
     model: Model
     absorbed: Mapping[str, float] = MappingProxyType({})
-    choices: Sequence[Choice] = ()
-    rival: Choice | None = None
-    unsaid: tuple[str, ...] = ()
+    choices: Sequence[Variant] = ()
+    rival: Variant | None = None
+    unidentifiable: tuple[str, ...] = ()
 
 
 def raw_model(
@@ -84,54 +85,54 @@ def raw_model(
         return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
 
     found = fitted(matrix, plain_freedom())
-    if usual is None or _all_told(found, pairs, fit_on, [p.jpeg for p in loaded]):
+    if usual is None or _at_floor(found, pairs, fit_on, [p.jpeg for p in loaded]):
         return found
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
-    said = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
-    return held._replace(absorbed=said, unsaid=("color_matrix",))
+    absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
+    return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
 
 
-def _all_told(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
+def _at_floor(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
     """Whether it leaves no more of these pairs than rounding and the files' compression do."""
-    problem, which = Problem(base.model, pairs), list(which)
-    problem.weigh(problem.robust_weights())
-    floor = floor_errors(problem, floor_difference(problem, files))[which].mean()
-    left = Gap(float(problem.errors(problem.z)[which].mean()), float(floor), LEAST_UNIT[RAW_JPEG])
-    return not left.exceeds(NULL_DROP[RAW_JPEG])
+    objective, which = PixelObjective.of(pairs), list(which)
+    z = np.zeros(len(base.model.coordinates))
+    objective = objective.robust(objective.at(base.model, z))
+    at, criteria = objective.at(base.model, z), CRITERIA[RAW_JPEG]
+    floor = objective.floor_errors(objective.floor_difference(at, files))[which].mean()
+    left = Gap(float(at.errors[which].mean()), float(floor), criteria.least_unit)
+    return not left.exceeds(criteria.null_drop)
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     """The base fitted, with the demosaicker that explains the pairs best: before or after white balance, of
     linear values or of their square roots."""
-    whole = Problem(model, pairs)
-    part, seen = whole.take(fit_on), range(len(fit_on))
-    fit(part, model.base_indices, seen, steps=6)
-    part.weigh(part.robust_weights(), part.z)
+    objective, own = PixelObjective.of(pairs).take(fit_on), model.take(fit_on)
+    at = objective.at(own, np.zeros(len(model.coordinates)))
+    at = fit(objective, at, model.base_indices, steps=6).point
+    objective = objective.robust(at)
     found = choices(model)
-    fitted, roots = part.model, [_on_roots(choice) for choice in found]
+    roots = [_on_roots(choice) for choice in found]
 
-    def error_of(choice: Choice) -> float:
-        part.model = fitted.chosen(choice.take(fit_on))
-        return float(part.errors(part.z).mean())
+    def with_choice(choice: Variant) -> Point:
+        return objective.at(own.chosen(choice.take(fit_on)), at.z)
 
-    errors, of_roots = ([error_of(choice) for choice in some] for some in (found, roots))
+    errors, of_roots = ([with_choice(choice).error for choice in some] for some in (found, roots))
     linear, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
     rooted_best = min(of_roots) < ROOTED * min(errors)
     best, rival = (root, linear) if rooted_best else (linear, None)
-    part.model = fitted
-    part.choose(best.take(fit_on))
-    fit(part, model.base_indices, seen, steps=4)
-    absorbed = taken_up(part, seen, part.model.moved(part.z), model.shared)
+    at = fit(objective, with_choice(best), model.base_indices, steps=4).point
+    every = list(range(len(fit_on)))
+    absorbed = absorbed_shares(objective, at.model.moved(at.z), model.shared, every)
     absorbed["demosaicking"] = 1 - min(errors) / max(errors)
-    return Base(model.chosen(best).moved(part.z), absorbed, [*found, root], rival)
+    return Base(model.chosen(best).moved(at.z), absorbed, [*found, root], rival)
 
 
-def choices(model: Model) -> list[Choice]:
+def choices(model: Model) -> list[Variant]:
     """Each demosaicker, before and after white balance."""
     first = model.per_pair["mosaic_white_balance"]
     orders = [(first, _neutral(first)), (_neutral(first), first)]
     return [
-        Choice(
+        Variant(
             {"demosaicking": Demosaicking(shares=shares)} | rooted(False),
             {"mosaic_white_balance": early, "later_balance": late},
         )
@@ -140,7 +141,7 @@ def choices(model: Model) -> list[Choice]:
     ]
 
 
-def _on_roots(choice: Choice) -> Choice:
+def _on_roots(choice: Variant) -> Variant:
     return dataclasses.replace(choice, shared=choice.shared | rooted(True))
 
 

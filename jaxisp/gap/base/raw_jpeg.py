@@ -1,5 +1,6 @@
-"""From a data set on disk to pairs of one size, and the base that is put before them."""
+"""RAW+JPEG pairs: their base, fitted or given, and what it leaves to explain."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -8,8 +9,9 @@ import numpy as np
 from jaxisp.camera import params_for, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.gap.base.plain_raw import Base, raw_model
-from jaxisp.gap.case import MOST_CAUSES, Case, Tick
-from jaxisp.gap.objective.pixels import Problem, floor_difference, floor_errors
+from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import stated_by
@@ -17,10 +19,7 @@ from jaxisp.gap.pairs.pairs import to_steps
 from jaxisp.gap.pairs.scenes import Split, split_of
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
-from jaxisp.gap.simulator.model import (
-    Model,
-    build,
-)
+from jaxisp.gap.simulator.model import Model, build
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Chain
 from jaxisp.recipe import Recipe
@@ -50,10 +49,10 @@ def raw_case(
 ) -> Case:
     """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
     is fitted, unless a split says otherwise."""
-    pairs = raw_pairs(loaded)
+    pairs, criteria, file = raw_pairs(loaded), CRITERIA[RAW_JPEG], loaded[0].jpeg
     split = split_of(pairs.names) if split is None else split
     effects = candidates(RAW_JPEG, exclude)
-    tick(0, MOST_CAUSES, "fitting the base")
+    tick(0, criteria.most_causes, "fitting the base")
     if camera is None:
         base = raw_model(loaded, pairs, effects, split.fit)
     else:
@@ -62,26 +61,29 @@ def raw_case(
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
     place = (0, 0)
-    if loaded[0].jpeg is not None:
+    if file is not None:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # where the gap lies, tried or not
         if "double_compression" in model.effects:
             model = with_earlier_grid(model, place)
             if place == (0, 0):  # the file's own grid
-                indices = model.indices(["double_compression"])
-                references = dict.fromkeys(indices, float(loaded[0].jpeg.quality))
+                references = dict.fromkeys(model.indices(["double_compression"]), float(file.quality))
             else:
                 seen = ("double_compression",)
-    problem = Problem(model, pairs, base.choices, base.rival)
-    problem.weigh(problem.robust_weights())
-    problem.references, problem.earlier = references, place
-    stated = stated_by(loaded[0].jpeg)
-    if loaded[0].jpeg is None:  # was compressed once, if at all
+    objective, z = PixelObjective.of(pairs, split, base.choices, base.rival), np.zeros(len(model.coordinates))
+    objective = objective.robust(objective.at(model, z))
+    objective = dataclasses.replace(objective, references=references, earlier=place)
+    at = objective.at(model, z)
+    stated = stated_by(file)
+    if file is None:  # was compressed once, if at all
         stated.add("double_compression")
-    apart = stated | {*absorbed, *base.unsaid}
-    offered = [e.name for e in effects if e.name not in apart]
-    stored = floor_difference(problem, [p.jpeg for p in loaded])
-    floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
-    grain = None if "film_grain" in exclude else stored
+    apart = stated | {*absorbed, *base.unidentifiable}
+    stored = objective.floor_difference(at, [p.jpeg for p in loaded])
     return Case(
-        RAW_JPEG, problem, split, floors, absorbed, offered, grain, given, seen=seen, unsaid=base.unsaid
-    )
+        kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
+        absorbed=absorbed, floors=objective.floor_errors(stored),
+        offered=[e.name for e in effects if e.name not in apart],
+        stored=None if "film_grain" in exclude else stored,
+        given=f"camera {camera.name}" if camera else None,
+        seen=seen,
+        unidentifiable=base.unidentifiable,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: read, cut to one size and laid on each other."""
+"""Clean+noisy pairs: read, cut to one size and aligned on each other."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
-from jaxisp.gap.pairs.align_raw import Laid, row
+from jaxisp.gap.pairs.align_raw import Aligned, row
 from jaxisp.gap.pairs.crops import common_crop, in_halves, usable
 from jaxisp.gap.pairs.pairs import BORDER, Pairs
 from jaxisp.gap.pairs.stored import as_stored
@@ -22,15 +22,15 @@ from jaxisp.io.orientation import orient
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
 
 
-def on_each_other(loaded: Sequence[Loaded]) -> Laid:
-    """The pairs cut to one size, each clean picture, made linear, laid under its noisy one, turned as it is.
-    A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
+def align_clean(loaded: Sequence[Loaded]) -> Aligned:
+    """The pairs cut to one size, each clean picture, made linear, aligned under its noisy one, turned as it
+    is. A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
     whether it is.
 
     Raises:
         InputError: no pair is left, or the largest size that all have is too small.
     """
-    laid = Laid([], [], [])
+    aligned = Aligned([], [], [])
     frames: dict[str, Loaded] = {}
     turned = set()
     for pair in loaded:
@@ -45,9 +45,9 @@ def on_each_other(loaded: Sequence[Loaded]) -> Laid:
             reason = (
                 f"the clean picture has {sizes[0]}, the noisy one {sizes[1]}; crop them to the same frame"
             )
-            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+            aligned.failed.append((pair.name, f"{pair.name}: {reason}"))
     if not frames:
-        raise InputError("; ".join(reason for _, reason in laid.failed))
+        raise InputError("; ".join(reason for _, reason in aligned.failed))
     whole = {pair.name: pair for pair in loaded}
     for pair, crop in zip(frames.values(), common_crop([*frames.values()])):
         own, place = _cropped(pair, crop)
@@ -56,13 +56,13 @@ def on_each_other(loaded: Sequence[Loaded]) -> Laid:
         if upright is not None:
             own, place = _cropped(upright, crop)
             turned.add(pair.name)
-        clean, done = _laid_under(np.asarray(own.clean), own.picture, place)
-        laid.kept.append(dataclasses.replace(own, clean=clean))
+        clean, done = _aligned_to(np.asarray(own.clean), own.picture, place)
+        aligned.kept.append(dataclasses.replace(own, clean=clean))
         off = (0, 0) if done == "nothing" else (-place.dy, -place.dx)
         done = "turned" if pair.name in turned else done
         certain = same_scene(place, own.picture.shape)
-        laid.rows.append(row(pair.name, off, done, certain=certain))
-    return laid
+        aligned.rows.append(row(pair.name, off, done, certain=certain))
+    return aligned
 
 
 def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
@@ -137,7 +137,7 @@ def _light(scene: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.clip(scene.mean(-1), 0, None)))
 
 
-def _laid_under(scene: np.ndarray, picture: np.ndarray, found: Alignment) -> tuple[np.ndarray, str]:
+def _aligned_to(scene: np.ndarray, picture: np.ndarray, found: Alignment) -> tuple[np.ndarray, str]:
     """The scene moved to where the picture has its details, and what that took: the picture keeps its place
     on the grids of its colour filter array and of its file. By whole pixels where that is about all; another
     scale is left."""

@@ -1,4 +1,4 @@
-"""The two pictures of a pair laid on each other: sizes, shifts, and pairs that are none."""
+"""The two pictures of a pair aligned on each other: sizes, shifts, and pairs that are none."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -22,8 +22,8 @@ _UNLIKE = 0.1  # a correlation that even flat pairs of one scene reach
 _ALIKE = 0.4  # what most pairs of a set reach that is neither
 
 
-class Laid(NamedTuple):
-    """Pairs whose halves were laid on each other.
+class Aligned(NamedTuple):
+    """Pairs whose halves are aligned.
 
     Attributes:
         kept: the pairs.
@@ -39,8 +39,8 @@ class Laid(NamedTuple):
 def row(
     name: str, off: Sequence[Any], done: str, *, certain: bool, scale: Sequence[Any] = (1.0, 1.0)
 ) -> dict[str, Any]:
-    """One of `Laid.rows`: about its middle the picture's details lie `off` (rows, columns) px from where the
-    other file has them, `scale` times as far apart; whether the two surely show one scene."""
+    """One of `Aligned.rows`: about its middle the picture's details lie `off` (rows, columns) px from where
+    the other file has them, `scale` times as far apart; whether the two surely show one scene."""
     shift, scales = ([round(float(v), digits) + 0.0 for v in own] for own, digits in ((off, 2), (scale, 4)))
     return {"name": name, "shift_px": shift, "scale": scales, "done": done, "certain": certain}
 
@@ -59,11 +59,11 @@ def _placed(pair: Loaded) -> Alignment:
     return estimate(np.sqrt(np.clip(cell, 0, None)), pair.picture)
 
 
-def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
+def align_raw(loaded: Sequence[Loaded]) -> Aligned:
     """RAW+JPEG pairs whose halves have one size.
 
-    A picture of another size is laid where it belongs: cut, or resampled where its scale is another. One of
-    the same size is moved by whole pixels, at most as far as the border that is not counted; what is not a
+    A picture of another size is aligned where it belongs: cut, or resampled where its scale is another. One
+    of the same size is moved by whole pixels, at most as far as the border that is not counted; what is not a
     whole pixel stays in the gap. A pair of two scenes is left out.
 
     Raises:
@@ -71,7 +71,7 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
     """
     places = [_placed(pair) for pair in loaded]
     usual = float(np.median([place.correlation for place in places]))
-    laid = Laid([], [], [])
+    aligned = Aligned([], [], [])
     for pair, place in zip(loaded, places):
         assert pair.raw is not None
         off, scale = (place.dy, place.dx), (place.scale_y, place.scale_x)
@@ -79,23 +79,23 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
         certain = same_scene(place, pair.picture.shape)
         if not certain and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
             reason = f"the two files do not show one scene: their correlation is {place.correlation:.2f}"
-            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+            aligned.failed.append((pair.name, f"{pair.name}: {reason}"))
         elif other_size:
-            first = laid.kept[0].raw if laid.kept else None
+            first = aligned.kept[0].raw if aligned.kept else None
             found, done = _cut(pair, place, first.cfa if first else None)
-            laid.kept.append(found)
-            laid.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
+            aligned.kept.append(found)
+            aligned.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
         elif certain:
             move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in off]
-            laid.kept.append(dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1))))
+            aligned.kept.append(dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1))))
             done = "moved" if any(move) else "nothing"
-            laid.rows.append(row(pair.name, off, done, certain=True, scale=scale))
+            aligned.rows.append(row(pair.name, off, done, certain=True, scale=scale))
         else:
-            laid.kept.append(pair)
-            laid.rows.append(row(pair.name, (0, 0), "nothing", certain=False))
-    if not laid.kept:
-        raise InputError("; ".join(reason for _, reason in laid.failed))
-    return laid
+            aligned.kept.append(pair)
+            aligned.rows.append(row(pair.name, (0, 0), "nothing", certain=False))
+    if not aligned.kept:
+        raise InputError("; ".join(reason for _, reason in aligned.failed))
+    return aligned
 
 
 def _cut(pair: Loaded, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:

@@ -9,7 +9,9 @@ import numpy as np
 
 from jaxisp.color import rgb_to_ycbcr_planes
 
-BORDER = 8
+BORDER = 8  # px that are not compared: filters see pixels twice there
+INNER = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+"""What of (N, H, W, ...) is compared."""
 
 
 @dataclasses.dataclass(frozen=True)

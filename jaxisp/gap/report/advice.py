@@ -72,9 +72,6 @@ _ON = {
 }  # fmt: skip
 """By axis, what shows alone what lies there."""
 
-CONSIDERABLE = 0.15
-"""The share of the gap that is worth a word, and a measurement more, where it is left."""
-
 _MORE = "more pairs, of scenes that differ"
 
 

@@ -1,4 +1,5 @@
-"""Where the fit of a noise that the base lacks begins: what the base imitated is taken back."""
+"""The noise of the base, and where fits begin that it has stood in for: what the base imitated is taken
+back."""
 
 from collections.abc import Sequence
 
@@ -18,6 +19,11 @@ _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correla
 _TIMES = (0.2, 0.4, 0.8, 1.6, 3.2)
 _LESS = (0.75, 0.5)
 _MORE = (1.0, 2.0, 5.0, 12.0, 30.0)
+
+
+def is_noisy(model: Model) -> bool:
+    """Whether anything in the simulator is random."""
+    return any(signature(s.fn).stochastic for s in model.chain.stages())
 
 
 def noise_indices(model: Model) -> list[int]:
@@ -49,9 +55,9 @@ def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
 def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[Ladders]:
     """Where the fit of an effect may begin, form by form: several strengths of a noise, with more or less of
     the base's own taken back; strong forms of what smooths noise, each with more of it; none for other
-    effects."""
+    effects, and where nothing is random."""
     coordinates = [model.coordinates[i] for i in own]
-    if not own or coordinates[0].node not in EFFECTS:
+    if not own or coordinates[0].node not in EFFECTS or not is_noisy(model):
         return []
     effect = EFFECTS[coordinates[0].node]
     at_rest = [[z]]
@@ -72,10 +78,12 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[Ladders]:
 
 
 def noisier(model: Model, z: np.ndarray, i: int) -> Ladders:
-    """The point, and with more and more of the base's noise: what smooths it, as coordinate i may unless it
-    is a noise itself, has been imitated by less."""
+    """The point, and with more and more of the base's noise: the base has stood in for a filter of noise, as
+    coordinate i may be unless it is a noise itself, by having less. The point alone where nothing is
+    random."""
     node = model.coordinates[i].node
-    return [[z]] if node in EFFECTS and EFFECTS[node].random else _ladders(model, z)
+    plain = not is_noisy(model) or (node in EFFECTS and EFFECTS[node].random)
+    return [[z]] if plain else _ladders(model, z)
 
 
 def _ladders(model: Model, z: np.ndarray) -> Ladders:
