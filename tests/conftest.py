@@ -62,16 +62,3 @@ def x64():
     """Run the test in double precision."""
     with jax.enable_x64(True):
         yield
-
-
-def smooth_image(shape: tuple[int, ...], seed: int = 0, low: float = 0.02, high: float = 0.98) -> np.ndarray:
-    """A float64 picture of waves, an edge and some texture in [low, high]."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    out = np.zeros(shape)
-    for c in range(shape[2] if len(shape) == 3 else 1):
-        fy, fx, phase = *rng.uniform(0.05, 0.3, 2), rng.uniform(0, 6)
-        plane = 0.5 + 0.3 * np.sin(fy * y + phase) * np.cos(fx * x) + 0.15 * (x > shape[1] / 2)
-        plane += 0.03 * rng.standard_normal(shape[:2])
-        out[(..., c) if len(shape) == 3 else ...] = plane
-    return np.clip(out, low, high)

@@ -54,7 +54,7 @@ def test_a_stopped_diagnosis_is_one_line_and_leaves_nothing(tmp_path, capsys, mo
 
     monkeypatch.setattr(jaxisp.gap, "diagnose", stopped)
     assert main(["diagnose", "set", "-o", str(tmp_path / "new" / "out"), "--json"]) == 1
-    assert capsys.readouterr() == ("", "jaxisp: stopped; what was written is whole\n")
+    assert capsys.readouterr() == ("", "jaxisp: interrupted; files already written are complete\n")
     assert list(tmp_path.iterdir()) == []
 
 

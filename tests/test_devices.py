@@ -14,7 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.loader import degrader
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 

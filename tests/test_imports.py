@@ -16,6 +16,7 @@ LAYERS = [
     {"registry"},
     {"node"},
     {"pipeline", "jpeg", "io"},
+    {"testing"},
     {"stages", "samples"},
     {"serialize", "strips"},
     {"recipe"},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxisp.losses import border_mask, charbonnier, clip_mask, luma_chroma_loss
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 def test_charbonnier_is_its_formula(x64):

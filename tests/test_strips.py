@@ -8,7 +8,7 @@ from jaxisp.params import map_specs
 from jaxisp.pipeline import Chain, Gate, Shuffle, run, signature, stage
 from jaxisp.stages import STAGES
 from jaxisp.strips import REACH, reach, run_in_strips
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},

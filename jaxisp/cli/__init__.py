@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"jaxisp: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("jaxisp: stopped; what was written is whole", file=sys.stderr)
+        print("jaxisp: interrupted; files already written are complete", file=sys.stderr)
         return 1
     except BrokenPipeError:
         return 1

@@ -30,7 +30,7 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """A subcommand with the options that all have."""
     command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
-    command.add_argument("--seed", type=seed, default=0, help="seed of all that is random (default 0)")
+    command.add_argument("--seed", type=seed, default=0, help="random seed (default 0)")
     if prints:
         command.add_argument("--json", action="store_true", help="print JSON and nothing else")
     command.set_defaults(run=run)

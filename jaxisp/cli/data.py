@@ -13,8 +13,8 @@ def add_commands(commands: Any) -> None:
         metavar="list|fetch", required=True
     )
     add_command(inner, "list", run_list, "list the sets with licence, size and source")
-    command = add_command(inner, "fetch", run_fetch, "download a set; JAXISP_DATA names where to")
-    command.add_argument("name", metavar="NAME", help="as jaxisp data list shows it")
+    command = add_command(inner, "fetch", run_fetch, "download a set (JAXISP_DATA changes the folder)")
+    command.add_argument("name", metavar="NAME", help="a name from jaxisp data list")
 
 
 def run_list(arguments: Namespace) -> int:

@@ -10,7 +10,7 @@ def add_commands(commands: Any) -> None:
     command = add_command(
         commands, "demo", run, "pairs, fit, degrade, train, diagnose, on data that comes with the package"
     )
-    command.add_argument("--out", default="demo", metavar="DIR", help="default ./demo")
+    command.add_argument("--out", default="demo", metavar="DIR", help="output folder (default ./demo)")
 
 
 def run(arguments: Namespace) -> int:

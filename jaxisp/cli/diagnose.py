@@ -11,22 +11,30 @@ from jaxisp.cli.common import add_command, names, positive, print_json, print_ta
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "diagnose", run, "name the effects that a simulated camera lacks")
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG or clean+noisy pairs")
-    command.add_argument("-o", "--out", required=True, metavar="DIR", help="for report.json and report.html")
     command.add_argument(
-        "--camera", metavar="CAMERA.toml", help="the simulator, mosaic to picture; a plain one is fitted else"
+        "-o", "--out", required=True, metavar="DIR", help="output folder for report.json and report.html"
+    )
+    command.add_argument(
+        "--camera", metavar="CAMERA.toml", help="a fitted camera as the simulator (default: fit a plain one)"
     )
     command.add_argument(
         "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
     )
     command.add_argument(
-        "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects that are not tried"
+        "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects to leave out"
     )
     command.add_argument(
         "--downstream",
         action="store_true",
-        help="train small denoisers without and with the effects found, measured on held-out pairs",
+        help="train small denoisers with and without the effects found; measure them on held-out pairs",
     )
-    command.add_argument("--downstream-steps", type=positive, default=500, metavar="N", help="of each (500)")
+    command.add_argument(
+        "--downstream-steps",
+        type=positive,
+        default=500,
+        metavar="N",
+        help="training steps of each denoiser (default 500)",
+    )
 
 
 def run(arguments: Namespace) -> int:
@@ -91,7 +99,7 @@ def _print(report: dict[str, Any]) -> None:
         for c in report["causes"]
     ]  # fmt: skip
     if rows:
-        print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
+        print_table(("cause", "site", "closes", "90 % interval", "alternatives"), rows)
     else:
         _say(sentence(report))
     for text in next_measurements(report):

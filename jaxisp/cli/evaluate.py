@@ -20,11 +20,11 @@ def add_commands(commands: Any) -> None:
     command = add_command(commands, "evaluate", run, "PSNR and SSIM of a trained run on clean+noisy pairs")
     command.add_argument("dataset", metavar="DATASET", help="a folder of clean+noisy pairs")
     command.add_argument(
-        "--run", dest="folder", required=True, metavar="RUN", help="as jaxisp train wrote it"
+        "--run", dest="folder", required=True, metavar="RUN", help="a folder written by jaxisp train"
     )
     command.add_argument(
         "--light", choices=("linear", "encoded"), default="linear",
-        help="what is compared: linear light, as in the paper (default), or encoded sRGB",
+        help="compare in linear light, as in the paper (default), or in encoded sRGB",
     )  # fmt: skip
     command.add_argument(
         "--crop", type=positive, metavar="N", help="use the middle N x N px of each picture (default all)"
@@ -44,7 +44,7 @@ def run(arguments: Namespace) -> int:
     failed = result["failed"]
     for pair in result["pairs"]:
         if not pair["aligned"]:
-            told = "where the clean picture lies cannot be told; it was left as it is"
+            told = "the position of the clean picture is unclear; it was not aligned"
             print(f"jaxisp: {pair['name']}: {told}", file=sys.stderr)
     if arguments.json:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]

@@ -19,28 +19,28 @@ def add_commands(commands: Any) -> None:
         "--report", metavar="DIR", help="write DIR/report.html, with pictures before and after"
     )
     command.add_argument(
-        "--steps", type=positive, default=30, help="most Gauss-Newton steps of each phase (default 30)"
+        "--steps", type=positive, default=30, help="most Gauss-Newton steps in each phase (default 30)"
     )
     command.add_argument(
-        "--demosaic", default="auto", metavar="STAGE", help="default auto: the one that fits best"
+        "--demosaic", default="auto", metavar="STAGE", help="demosaicking stage (default auto: the best fit)"
     )
     command.add_argument(
         "--median", default="auto", metavar="SIZE", help="none, cross, 3x3, 5x5 or auto (default auto)"
     )
     command.add_argument(
-        "--starts", type=positive, default=1, help="settings to start from; the best is taken (default 1)"
+        "--starts", type=positive, default=1, help="starting points; the best fit is kept (default 1)"
     )
     command.add_argument(
         "--per-image",
         type=names,
         default=[],
         metavar="NAMES",
-        help="parameters that each image has of its own, by commas: stages, stage.field, tone, colour",
+        help="comma-separated parameters to fit for each image: stages, stage.field, tone, colour",
     )
     command.add_argument(
-        "--recipe", metavar="OUT.toml", help="also write a recipe for `jaxisp degrade` that draws this camera"
+        "--recipe", metavar="OUT.toml", help="also write a recipe of this camera for `jaxisp degrade`"
     )
-    add_devices(command, "spread the tiles over N parts of it (default: one, with a thread a core)")
+    add_devices(command, "split it into N devices for the tiles (default: one device, a thread per core)")
 
 
 def run(arguments: Namespace) -> int:

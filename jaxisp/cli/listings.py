@@ -1,4 +1,4 @@
-"""`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: what there is."""
+"""`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: listings."""
 
 from argparse import Namespace
 from typing import Any
@@ -12,7 +12,7 @@ def add_commands(commands: Any) -> None:
         commands, "stages", run_stages, "list the stages with their parameters, bounds and units"
     )
     stages.add_argument(
-        "names", nargs="*", metavar="STAGE", help="tell all of these: options, gradient, source"
+        "names", nargs="*", metavar="STAGE", help="show options, gradient and source of these stages"
     )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
     add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
@@ -77,7 +77,7 @@ def run_effects(arguments: Namespace) -> int:
         (e["name"], e["site"], " ".join(e["shows_in"]), " ".join(e["axes"]), " ".join(e["alternatives"]))
         for e in effects
     ]
-    print_table(("effect", "site", "shows in", "axes", "easily taken for"), rows)
+    print_table(("effect", "site", "shows in", "axes", "easily confused with"), rows)
     return 0
 
 

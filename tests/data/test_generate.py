@@ -12,7 +12,7 @@ from jaxisp.io import read_image, write_png
 from jaxisp.pipeline import Chain, stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.mounts import mounted
 
 

@@ -16,7 +16,7 @@ from jaxisp.generate import Work, degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytest.importorskip("array_record")
 

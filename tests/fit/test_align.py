@@ -10,7 +10,7 @@ import skimage.data
 
 from jaxisp.fit.align import Alignment, best_orientation, covered, estimate, same_scene, warp
 from jaxisp.io.orientation import unorient
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 ASTRONAUT, CHELSEA, COFFEE = (getattr(skimage.data, n)() / 255 for n in ("astronaut", "chelsea", "coffee"))
 

@@ -21,7 +21,7 @@ from jaxisp.gap.search.refit import _climbed, nearest_form, refit
 from jaxisp.gap.search.trial import Bars, Whole
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.noise import noise_indices, noisier
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 CLEAN = CRITERIA["clean+noisy"]

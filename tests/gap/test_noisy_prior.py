@@ -15,7 +15,7 @@ from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import Split
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 

@@ -12,7 +12,7 @@ from PIL import Image
 from jaxisp.errors import InputError
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.orientation import orient
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 PICTURE = np.rint(smooth_image((21, 34, 3)) * 255).astype(np.uint8)
 

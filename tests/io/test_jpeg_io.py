@@ -14,7 +14,7 @@ from jaxisp.io.jpeg import decode_jpeg, encode_jpeg, read_jpeg, write_jpeg
 from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.jpeg.tables import quality_tables
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 PICTURE = np.rint(smooth_image((37, 50, 3)) * 255).astype(np.uint8)
 ZIGZAG = sorted(range(64), key=lambda i: (sum(divmod(i, 8)), divmod(i, 8)[(sum(divmod(i, 8)) + 1) % 2]))

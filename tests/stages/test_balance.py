@@ -17,7 +17,7 @@ from jaxisp.stages.balance import (
     WhiteBalance,
     WhiteBalanceTemperature,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 CMFS = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.strips import reach
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.stages.test_demosaic import SHAPE, compiled
 
 VARIANTS = [
