@@ -50,8 +50,8 @@ class Criteria:
 
     The search:
         most_causes: effects that are accepted at most.
-        refitted: effects of a step that are refitted: those that screening promises most of.
-        promising: share that screening must promise of an effect that is refitted.
+        refitted: effects of a step that are refitted: those that close most by screening.
+        predicted: share that an effect must close by screening to be refitted.
         anew: whether the best of a later step are fitted once more, all columns anew: the base there has
             imitated what was missing. Not of pixels, whose columns are computed anew at every step.
         hopeless: times the least error of all forms that a form may leave at first for the base to be fitted
@@ -102,7 +102,7 @@ class Criteria:
     left_alike: float = 2.0
     most_causes: int = 3
     refitted: int = 6
-    promising: float = 0.01
+    predicted: float = 0.01
     anew: bool
     hopeless: float = 4.0
     between_forms: float = 0.9

@@ -84,7 +84,7 @@ _WAYS = {
 
 
 def test_every_move_shows(model):
-    """Of what does not show here, and of film grain, see `test_noisy_effects`."""
+    """Of what does not show here, and of film grain, see `test_effects_in_noise`."""
     light = mosaics()
     before = model.render(np.zeros(len(model.coordinates)), light)
     for i, (coordinate, step) in enumerate(zip(model.coordinates, model.steps)):

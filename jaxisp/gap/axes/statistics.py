@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: the axes that a gap lies on, by what the statistics of each differ by."""
+"""Where a gap of statistics lies: the axes, by how far the statistics of each differ."""
 
 from collections.abc import Sequence
 from typing import Any

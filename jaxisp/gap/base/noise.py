@@ -11,7 +11,7 @@ from jaxisp.gap.gauss_newton import fit
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.simulator.model import Model
-from jaxisp.gap.simulator.noise import noise_indices, told_by_noise
+from jaxisp.gap.simulator.noise import informed_by_noise, noise_indices
 
 Rebase = Callable[[Model, np.ndarray], Model]
 """Puts the base's z into its parameters."""
@@ -29,7 +29,7 @@ def fit_noise(objective: StatisticsObjective, at: Point, rebase: Rebase) -> tupl
     at = _settled(objective, at, noise, rebase, steps=5)
     objective = objective.counting(every)
     objective = objective.with_unit(objective.at(at.model, at.z))
-    at = _settled(objective, at, told_by_noise(at.model), rebase, steps=4)
+    at = _settled(objective, at, informed_by_noise(at.model), rebase, steps=4)
     at = _settled(objective, at, at.model.base_indices, rebase, steps=3, keep=True)
     objective = objective.with_unit(at, emphasise=True)
     at = _settled(objective.counting(noise_only()), at, noise, rebase, steps=3)

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: the plain camera that is their base, and what of it is free."""
+"""The plain camera that is the base of clean+noisy pairs, and what of it is free."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture.
+"""Maps that the mean residual may follow, computed from the noise-free picture.
 
 By NumPy: they are worked out once a set of pairs, which takes less time than to compile them.
 """

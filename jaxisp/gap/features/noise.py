@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: how the noise of one picture is spread, correlated and shaped, and its grids."""
+"""The noise of one picture: its spread, correlation, tails and grids."""
 
 import itertools
 from typing import Any

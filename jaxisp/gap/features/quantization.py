@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what the sensor read, as far as a picture still shows it, and how its levels are spaced.
+"""Quantization: the values that the sensor read, as far as a picture still shows them, and their spacing.
 
 A converter of few levels leaves differences of neighbours that are multiples of one step; tone curve and
 matrix are undone with those of the fitted base, which need only be about right for that.

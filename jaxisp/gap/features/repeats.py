@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what of a picture's residual repeats in the other scenes."""
+"""The part of a residual that repeats from scene to scene."""
 
 import jax
 import jax.numpy as jnp

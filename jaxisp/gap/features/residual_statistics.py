@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: numbers that say how a real picture's residual differs from a simulated one's.
+"""Statistics of residuals: numbers that say how a real picture differs from a simulated one.
 
 Pixels of two noise realisations never agree, so statistics of the residual are compared: what its mean
 follows (light, radius, edges, hue ...), see `mean`, how its noise is spread, correlated, shaped and

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what difference of each statistic is harmless, and how much it counts."""
+"""Which difference of each statistic is harmless, and how much it counts."""
 
 import functools
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what a fit of statistics does to the pictures' tones and colours, block by block.
+"""Tones and colours, block by block, that a fit of statistics must not spoil.
 
 Statistics are averaged over scenes, and there are few of them: matrix and curve that move along with an
 effect make good three scenes' averages and spoil the scenes themselves, and all others. The means of small

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: read, cut to one size and aligned on each other."""
+"""Clean pictures aligned to their noisy ones, and both cut to one size."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixe
 
 
 def align_clean(loaded: Sequence[Loaded]) -> Aligned:
-    """The pairs cut to one size, each clean picture, made linear, aligned under its noisy one, turned as it
+    """The pairs cut to one size, each clean picture made linear and aligned to its noisy one, turned as it
     is. A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
     whether it is.
 

@@ -1,4 +1,4 @@
-"""The two pictures of a pair aligned on each other: sizes, shifts, and pairs that are none."""
+"""Pictures aligned to their RAW files: sizes, shifts, and files that are not a pair."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -353,8 +353,8 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     absorbed = ", ".join(name + share for name, share in shares)
     aside = [f["reason"] for f in pairs.get("failed", ())]
     aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
-    laid = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
-    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in laid)
+    moved = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
+    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in moved)
     rows = [
         ("simulator", base.get("given", "")),
         ("base", ", ".join(map(words, base["stages"]))),

@@ -13,7 +13,7 @@ from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.search.trial import Bars, Trial, Whole
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.gap.simulator.model import Model
-from jaxisp.gap.simulator.noise import Ladders, noisier, placed, starts, told_by_noise
+from jaxisp.gap.simulator.noise import Ladders, informed_by_noise, noisier, placed, starts
 
 _ROUNDING = 1 / 12  # of 8 bits, which pictures without noise have left
 
@@ -143,7 +143,7 @@ def _fit_with(
         ladders = [ladder for own_form in begun for ladder in own_form]
         at = _climbed(ladders, part, model) if form is None else part.at(model, form)
     smooth = [i for i in moving if i not in gridded]
-    noise = told_by_noise(model)
+    noise = informed_by_noise(model)
     fresh = [i for i in smooth if i in own or i in noise]
     if begun or gridded:  # the columns of these are another point's
         columns = {i: column for i, column in columns.items() if i not in fresh}
@@ -175,7 +175,7 @@ def nearest_form(evidence: Evidence, point: Point, effect: str, criteria: Criter
     if not forms:
         return None
     part, start = evidence.fitted(point)
-    model, noise = start.model, told_by_noise(start.model)
+    model, noise = start.model, informed_by_noise(start.model)
     moving = [*model.base_indices, *switched_on(point)]
     columns = {i: column for i, column in start.columns.items() if i not in noise}
     points = [_climbed(ladders, part, model) for ladders in forms]

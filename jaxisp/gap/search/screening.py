@@ -17,7 +17,7 @@ _ALONG = (1.0, 0.5, 0.25)
 
 
 def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict[str, float], Point]:
-    """The drop of the held-out error that each effect promises beyond the base's own, by linear prediction;
+    """The predicted drop of the held-out error with each effect, beyond the base's own, by linear prediction;
     and the point with the columns that this took.
 
     Both halves are predicted from each other, which halves the chance of a lucky split.
@@ -31,7 +31,7 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
     gram, slope = evidence.normal(point, sorted(point.columns))
     order = {i: k for k, i in enumerate(sorted(point.columns))}
 
-    def promised(which: Sequence[int]) -> float:
+    def drop(which: Sequence[int]) -> float:
         at = [order[i] for i in which]
         own = NormalEquations(gram[:, at][:, :, at], slope[:, at])
         total = 0.0
@@ -41,10 +41,9 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
             total += float(2 * move @ b - move @ a @ move) / 2
         return total
 
-    own = promised(base) if base else 0.0
+    own = drop(base) if base else 0.0
     return {
-        name: promised([*base, *model.indices([name])]) - own - _anyway(evidence, point, name)
-        for name in names
+        name: drop([*base, *model.indices([name])]) - own - _anyway(evidence, point, name) for name in names
     }, point
 
 
@@ -95,8 +94,8 @@ def _anyway(evidence: Evidence, point: Point, name: str) -> float:
 
 def predicted(evidence: Evidence, point: Point, effect: str) -> float:
     """The drop of the held-out error with an effect and the base one step on, as `screen` sees that step from
-    the fitted pairs: as much of it as is best there. Statistics follow most effects in curves, which a
-    straight line promises too little of."""
+    the fitted pairs: as much of it as is best there. Statistics follow most effects in curves, for
+    which a straight line predicts too little."""
     model, split = point.model, evidence.split
     which = [*model.base_indices, *switched_on(point), *model.indices([effect])]
     move = _step(point, which, evidence.normal(point, which), split.fit)
@@ -194,7 +193,7 @@ def of_form(effect: str, causes: Sequence[Trial], criteria: Criteria) -> float:
 
 def like_the_nearest(trials: Sequence[Trial], others: Sequence[str], criteria: Criteria) -> list[str]:
     """What the effect that closes most may have been taken for, where that could lead: one move from nothing,
-    which is what screening sees, does not promise what the whole of an effect does."""
+    which is what screening sees, does not predict what the whole of an effect does."""
     nearest = max(trials, key=lambda t: t.closed)
     alike = EFFECTS[nearest.effect].alternatives if nearest.closed >= criteria.leading else ()
     return [name for name in others if name in alike]

@@ -38,7 +38,7 @@ class Terms(NamedTuple):
         leading: share that the first must close.
         enough: share left, below which no other effect is looked for.
         apart: of `lookalikes`.
-        seen: effects that the files themselves show; they are refitted whatever they promise.
+        seen: effects that the files themselves show; they are refitted whatever screening predicts.
         plainly: as `least`, of a later effect that pixels show by themselves: beside a large gap another may
             be a small part of it.
         visible: of `hidden`.
@@ -144,8 +144,8 @@ def _tried(
     terms: Terms,
     tick: Tick,
 ) -> tuple[list[Trial], dict[str, float], Point]:
-    """One step: of the effects that are left those that promise most beside the causes, refitted; the drop
-    that is predicted of all of them; and the point with its columns."""
+    """One step: the effects left whose predicted drop beside the causes is largest, refitted; the predicted
+    drop of all of them; and the point with its columns."""
     step, split, criteria = len(causes), evidence.split, terms.criteria
     every = (*split.fit, *split.held_out)
     tick(step, terms.most, "screening effects")
@@ -165,8 +165,8 @@ def _tried(
         return refit(evidence, point, name, terms.whole, bars, criteria, form=forms.get(name))
 
     ranked = sorted(left, key=lambda name: -drops[name])
-    promising = criteria.promising * terms.whole.size
-    tried = [n for n in ranked[: criteria.refitted] if drops[n] > promising] or ranked[:1]
+    enough = criteria.predicted * terms.whole.size
+    tried = [n for n in ranked[: criteria.refitted] if drops[n] > enough] or ranked[:1]
     tried += [n for n in left if n in terms.seen and n not in tried]
     trials = parallel_map(one, tried)
     trials += parallel_map(one, like_the_nearest(trials, [n for n in left if n not in tried], criteria))
@@ -232,7 +232,7 @@ def _predicted(
 
 
 def _forms(evidence: Evidence, point: Point, names: Sequence[str], criteria: Criteria) -> Forms:
-    """Where effects of exact forms begin: no small step of theirs promises anything."""
+    """Where effects of exact forms begin: a small step of theirs predicts nothing."""
     found = {name: nearest_form(evidence, point, name, criteria) for name in names}
     return {name: z for name, z in found.items() if z is not None}
 

@@ -32,7 +32,7 @@ def noise_indices(model: Model) -> list[int]:
     return [i for i, c in enumerate(model.base) if c.node in random]
 
 
-def told_by_noise(model: Model) -> list[int]:
+def informed_by_noise(model: Model) -> list[int]:
     """The coordinates of the base's own noise, and those of the sensor's primaries: how far the noise of
     channels is alike."""
     return [*noise_indices(model), *(i for i, c in enumerate(model.base) if c.node == MIXING)]
@@ -93,7 +93,7 @@ def _ladders(model: Model, z: np.ndarray) -> Ladders:
 def _places(model: Model, z: np.ndarray) -> list[np.ndarray]:
     """The point, and with gains and primaries as they usually are: what smooths colours has been imitated
     by others."""
-    known = [i for i in told_by_noise(model) if model.precisions[i] > 0]
+    known = [i for i in informed_by_noise(model) if model.precisions[i] > 0]
     usual = z.copy()
     usual[known] = np.clip(model.usual, *model.ranges)[known]
     return [z, usual] if known else [z]
