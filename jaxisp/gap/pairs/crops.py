@@ -11,11 +11,7 @@ from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.io.datasets import Loaded
 
 SMALLEST, LARGEST = 64, 512  # px a side
-
-
 TILES = " ("  # after the name of a pair that is alone
-
-
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
 

@@ -9,16 +9,23 @@ import numpy as np
 
 from jaxisp.color import rgb_to_ycbcr_planes
 
-BORDER = 8  # px that are not compared: filters see pixels twice there
+BORDER = 8  # px that are not compared: filters see mirrored pixels there
 INNER = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
 """What of (N, H, W, ...) is compared."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pairs:
-    """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
-    and `mask` (N, H, W) of the pixels that count; `again` is a scene's light as the compression of its file
-    leaves it once more, None where there was none."""
+    """What is compared.
+
+    Attributes:
+        names: (N,) of the pairs.
+        light: (N, H, W) mosaics or (N, H, W, 3) scenes, linear.
+        pictures: (N, H, W, 3) encoded, in [0, 1].
+        mask: (N, H, W) bool, the pixels that count.
+        again: the scenes as the compression of their files leaves them a second time; None where the files
+            are not compressed.
+    """
 
     names: tuple[str, ...]
     light: jax.Array
@@ -27,11 +34,12 @@ class Pairs:
     again: jax.Array | None = None
 
     def relit(self, change: Callable[[jax.Array], jax.Array]) -> "Pairs":
-        """With this done to the light."""
+        """Apply a function to the light."""
         again = None if self.again is None else change(self.again)
         return dataclasses.replace(self, light=change(self.light), again=again)
 
     def take(self, which: Sequence[int]) -> "Pairs":
+        """Some of the pairs."""
         index = np.asarray(which)
         names = tuple(self.names[i] for i in index)
         own = self.relit(lambda light: light[index])

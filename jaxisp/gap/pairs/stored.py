@@ -1,4 +1,4 @@
-"""What a file does to a picture."""
+"""Pictures as files store them."""
 
 import numpy as np
 

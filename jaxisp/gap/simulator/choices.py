@@ -1,4 +1,4 @@
-"""What a chain leaves to choose: its demosaicker, and where an earlier compression began."""
+"""Choices of a simulator beside its coordinates: the demosaicker, and the grid of an earlier compression."""
 
 import dataclasses
 

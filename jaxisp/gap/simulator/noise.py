@@ -1,5 +1,5 @@
-"""The noise of the base, and where fits begin that it has stood in for: what the base imitated is taken
-back."""
+"""The noise of the base, and where fits of effects start that this noise has imitated: it is taken back
+there."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,7 @@ from jaxisp.gap.simulator.model import MIXING, Model
 from jaxisp.pipeline import signature
 
 Ladders = list[list[np.ndarray]]
-"""Points to begin at; those of one list differ in how much noise the base has, from rung to rung more."""
-
+"""Points to start from; along each list the base has more noise from point to point."""
 
 _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
              "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip
