@@ -32,7 +32,7 @@ _DEMOSAICKERS = tuple(
     f"demosaic_{name}"
     for name in ("ahd", "bilinear", "edge_aware", "hamilton_adams", "hibbard", "malvar", "menon", "vng")
 )
-_ENCODERS = ("jpeg", "jpeg_photoshop", "jpeg_tables")
+_ENCODERS = ("jpeg", "jpeg_file", "jpeg_photoshop", "jpeg_tables")
 _BLOCK, _CELL = 16, 2  # rows: a strip of blocks or of a mosaic's cells begins where one does
 _BLOCKS = 31
 """Of an encoder: to the far end of the next 16 x 16 block, from which chroma is interpolated."""

@@ -2,9 +2,10 @@
 
 import gc
 import os
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
+
+from tests.programs import kept_programs
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 if os.environ.get("JAXISP_TESTS_QUICK"):
@@ -17,12 +18,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # what one worker or one command compiles, the others load; xdist's workers inherit it
-    PROGRAMS = tempfile.TemporaryDirectory(prefix="jaxisp-tests-", ignore_cleanup_errors=True)
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept_programs())  # xdist's workers inherit it
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # a plain call compiles each operation
 
 import jax
 import numpy as np

@@ -223,7 +223,7 @@ def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):
     def no_space(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "replace", no_space)
+    monkeypatch.setattr(files.os, "fsync", no_space)
     status, _, err = run(capsys, "degrade", photographs, "-o", tmp_path / "o", "--recipe", "awgn")
     assert status == 2 and "no space left" in err and err.count("\n") == 1
     assert not list((tmp_path / "o").glob("*"))

@@ -48,7 +48,7 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     assert status == 2 and "was begun with lr = 0.001" in err
     with monkeypatch.context() as patch:
         patch.setattr("jaxisp.train.trainer._Signals.came", True)  # as if a signal had come
-        for flags, wanted in (((), 0), (("--stop-status", 75), 75)):
+        for flags, wanted in (((), 130), (("--stop-status", 75), 75)):
             status, text, _ = run(capsys, "train", "-o", trained, "--resume", "--steps", 4, *flags)
             assert status == wanted and "3 steps" in text and "stopped" in text
 

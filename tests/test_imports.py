@@ -20,7 +20,7 @@ LAYERS = [
     {"stages", "samples"},
     {"serialize", "strips"},
     {"recipe"},
-    {"recipes", "camera", "report"},
+    {"recipes", "camera", "encoder", "report"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
     {"train"},
     {"gap"},

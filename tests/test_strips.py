@@ -74,6 +74,7 @@ def test_no_option_is_new():
         "demosaic_menon": "cfa refining",
         "demosaic_vng": "cfa",
         "jpeg": jpeg,
+        "jpeg_file": "components converts subsampling",
         "jpeg_photoshop": "subsampling",
         "jpeg_tables": jpeg,
         "median": "chroma footprint iterations luma",

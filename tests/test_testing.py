@@ -82,6 +82,11 @@ def by_batch(params: Amount, image: LinearRGB) -> LinearRGB:
 
 
 @documented("exact")
+def by_concreteness(params: Amount, image: LinearRGB) -> LinearRGB:
+    return params.amount * image * (1 if isinstance(image, jax.core.Tracer) else 2)
+
+
+@documented("exact")
 def half_precision(params: Amount, image: LinearRGB) -> LinearRGB:
     return (params.amount * image).astype(jnp.bfloat16)
 
@@ -108,6 +113,7 @@ def test_a_sound_stage_passes_everything():
         (mixed, "products_are_precise", "precision=HIGHEST"),
         (other_forward, "gradient_gives_the_value", "Not equal"),
         (by_batch, "batch_agrees", "Not equal"),
+        (by_concreteness, "plain_call_agrees", "Not equal"),
     ],
     ids=lambda v: getattr(v, "__name__", ""),
 )

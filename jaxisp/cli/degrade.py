@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
 from jaxisp.errors import InputError
 
 
@@ -44,7 +44,7 @@ def run(arguments: Namespace) -> int:
     else:
         rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
         kept = f", {done.kept} kept" if done.kept else ""
-        print(f"{done.images} images in {rate}{kept} -> {arguments.out}")
+        say(f"{done.images} images in {rate}{kept} -> {arguments.out}")
     return report_failures(done.failed)
 
 

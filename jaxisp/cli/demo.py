@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, progress
+from jaxisp.cli.common import add_command, print_json, progress, say
 
 
 def add_commands(commands: Any) -> None:
@@ -21,5 +21,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json(result)
     else:
-        print(f"{result['report']}: open it in a browser ({result['seconds']:.0f} s)")
+        say(f"{result['report']}: open it in a browser ({result['seconds']:.0f} s)")
     return 0

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
 
 
 def add_commands(commands: Any) -> None:
@@ -39,5 +39,5 @@ def run(arguments: Namespace) -> int:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]
         print_json({**result, "model": config.model, "failed": reasons})
     else:
-        print(f"{result['images']} pictures in {result['seconds']:.1f} s -> {arguments.out}")
+        say(f"{result['images']} pictures in {result['seconds']:.1f} s -> {arguments.out}")
     return report_failures(failed)

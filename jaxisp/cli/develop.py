@@ -1,10 +1,9 @@
 """`jaxisp develop`: render a RAW file."""
 
-import sys
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say, warn
 
 
 def add_commands(commands: Any) -> None:
@@ -25,16 +24,18 @@ def run(arguments: Namespace) -> int:
     from jaxisp.camera import develop
     from jaxisp.errors import InputError
     from jaxisp.io import read_raw, write_png
+    from jaxisp.io.files import check_output, real_paths
     from jaxisp.recipe import Recipe, check_traces
 
     if not arguments.out.lower().endswith(".png"):
         raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
+    check_output(arguments.out, real_paths([arguments.raw]))
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     if camera:
         check_traces(camera)
     raw = read_raw(arguments.raw, quad="remosaic" if arguments.remosaic else "bin")
     for note in raw.notes:
-        print(f"jaxisp: {raw.path}: {note}", file=sys.stderr)
+        warn(f"{raw.path}: {note}")
     picture = develop(raw, camera, jax.random.key(arguments.seed))
     write_png(arguments.out, picture)
     height, width = picture.shape[:2]
@@ -42,5 +43,5 @@ def run(arguments: Namespace) -> int:
         size = {"width": width, "height": height}
         print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": list(raw.notes)})
     else:
-        print(f"{arguments.out}: {width} x {height}, {raw.cfa}")
+        say(f"{arguments.out}: {width} x {height}, {raw.cfa}")
     return 0

@@ -1,11 +1,20 @@
 """`jaxisp diagnose`: where the gap between a simulated and a real camera lies, and which effect causes it."""
 
-import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import (
+    add_command,
+    names,
+    positive,
+    print_json,
+    print_table,
+    progress,
+    report_failures,
+    say,
+    warn,
+)
 
 
 def add_commands(commands: Any) -> None:
@@ -39,9 +48,11 @@ def add_commands(commands: Any) -> None:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.gap.report.page import plain
-    from jaxisp.io import filled_folder
+    from jaxisp.io import filled_folder, output_file
 
     with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
+        for name in ("report.json", "report.html"):
+            output_file(folder / name)
         found = _diagnosed(arguments, folder)
         _warn(found.report)
         try:
@@ -52,7 +63,7 @@ def run(arguments: Namespace) -> int:
             else:
                 _print(found.report)
     if not arguments.json:
-        print(f"{page} in {found.report['seconds']:.0f} s")
+        say(f"{page} in {found.report['seconds']:.0f} s")
     return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 
@@ -82,9 +93,11 @@ def _warn(report: dict[str, Any]) -> None:
     from jaxisp.gap.report.page import few_pairs
 
     if few_pairs(report):
-        print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
+        warn(f"{few_pairs(report)}")
     for pair in report["pairs"]["left_out"]:
-        print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
+        warn(f"{pair['name']}: left out: {pair['reason']}")
+    for pair in report["pairs"].get("encoder_not_modelled", ()):
+        warn(f"{pair['name']}: its JPEG encoder is not modelled: {pair['reason']}")
 
 
 def _print(report: dict[str, Any]) -> None:
@@ -92,7 +105,7 @@ def _print(report: dict[str, Any]) -> None:
 
     gap, left = report["gap"], unexplained(report)
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    _say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
+    say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")
@@ -101,21 +114,17 @@ def _print(report: dict[str, Any]) -> None:
     if rows:
         print_table(("cause", "site", "closes", "90 % interval", "alternatives"), rows)
     else:
-        _say(sentence(report))
+        say(sentence(report))
     for text in next_measurements(report):
-        _say(text)
+        say(text)
     _print_downstream(report.get("downstream"))
-
-
-def _say(text: str) -> None:
-    print(text.replace("\N{NO-BREAK SPACE}", " "))
 
 
 def _print_downstream(found: dict[str, Any] | None) -> None:
     if found is None:
         return
     if "skipped" in found:
-        print(f"downstream: {found['skipped']}")
+        say(f"downstream: {found['skipped']}")
         return
     rows = [("no denoiser", f"{found['input']['psnr']:.2f}", "", f"{found['input']['ssim']:.4f}")]
     for name, arm in found["arms"].items():

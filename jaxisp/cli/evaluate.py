@@ -1,7 +1,6 @@
 """`jaxisp evaluate`: PSNR and SSIM of a trained run on clean+noisy pairs."""
 
 import functools
-import sys
 from argparse import Namespace
 from typing import Any
 
@@ -12,6 +11,8 @@ from jaxisp.cli.common import (
     print_table,
     progress,
     report_failures,
+    say,
+    warn,
 )
 from jaxisp.cli.denoise import add_network_options
 
@@ -45,7 +46,7 @@ def run(arguments: Namespace) -> int:
     for pair in result["pairs"]:
         if not pair["aligned"]:
             told = "the position of the clean picture is unclear; it was not aligned"
-            print(f"jaxisp: {pair['name']}: {told}", file=sys.stderr)
+            warn(f"{pair['name']}: {told}")
     if arguments.json:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]
         print_json({**result, "model": config.model, "failed": reasons})
@@ -58,5 +59,5 @@ def run(arguments: Namespace) -> int:
             for r in rows
         ],
     )
-    print(f"{result['light']} light; {result['aligned']}; {result['normalised']}")
+    say(f"{result['light']} light; {result['aligned']}; {result['normalised']}")
     return report_failures(failed)

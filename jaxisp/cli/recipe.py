@@ -4,7 +4,7 @@ from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say
 
 
 def add_commands(commands: Any) -> None:
@@ -35,7 +35,9 @@ def _factor(text: str) -> float:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.fit import prior_from_cameras
+    from jaxisp.io.files import check_output, real_paths
 
+    check_output(arguments.out, real_paths(arguments.cameras))
     recipe = prior_from_cameras(
         arguments.cameras,
         spread=arguments.spread,
@@ -46,5 +48,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json({"recipe": arguments.out, "cameras": arguments.cameras})
     else:
-        print(f"{arguments.out}: {recipe.description}")
+        say(f"{arguments.out}: {recipe.description}")
     return 0

@@ -1,12 +1,14 @@
 """`jaxisp train`: a denoiser, on pairs degraded on the fly."""
 
 import os
-from argparse import Namespace
+import signal
+from argparse import ArgumentTypeError, Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
 from jaxisp.cli.devices import add_devices, join, use_cores
 from jaxisp.errors import InputError
+from jaxisp.process import signals
 
 _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--steps", positive, "updates (default 5000)"),
@@ -48,8 +50,12 @@ def add_commands(commands: Any) -> None:
     command.add_argument("-o", "--out", required=True, metavar="RUN", help="folder of the run")
     command.add_argument("--resume", action="store_true", help="continue from the last checkpoint of the run")
     command.add_argument(
-        "--stop-status", type=int, default=0, metavar="N",
-        help="exit status if a signal stops the run early (default 0), for schedulers",
+        "--stop-status", type=_stop_status, metavar="N",
+        help="exit status if a signal stops the run early (default 130 or 143), for schedulers",
+    )  # fmt: skip
+    command.add_argument(
+        "--grace", type=float, metavar="SECONDS",
+        help="time that a signal leaves for the step and a checkpoint (default 1.2; 60 with --coordinator)",
     )  # fmt: skip
     for flag, kind, text in _OPTIONS:
         command.add_argument(flag, type=kind, help=text)
@@ -61,7 +67,16 @@ def add_commands(commands: Any) -> None:
     add_devices(command, "split it into N devices for the batches (default: one per core, at most 8)")
 
 
+def _stop_status(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 255:
+        raise ArgumentTypeError(f"{text} is not from 1 to 255: 0 means that it is finished")
+    return value
+
+
 def run(arguments: Namespace) -> int:
+    grace = arguments.grace if arguments.grace is not None else 60 if arguments.coordinator else signals.GRACE
+    signals.allow(grace, arguments.stop_status)
     use_cores(arguments.cpu_devices)
     import dataclasses
 
@@ -91,13 +106,16 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result)
     report_failures(result.skipped)  # a warning each: the run is whole without them
-    return 0 if result.finished else arguments.stop_status
+    if result.finished:
+        return 0
+    signals.tell()
+    return signals.status_of(signals.came() or signal.SIGINT)
 
 
 def _print(result: Any) -> None:
     state = "done" if result.finished else "stopped; continue with --resume"
     rate = f"{result.images_per_second:.0f} images/s on " if result.images_per_second else ""
-    print(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}{result.devices}), {state}")
+    say(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}{result.devices}), {state}")
     if result.validation:
         found = result.validation
-        print(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")
+        say(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")

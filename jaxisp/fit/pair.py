@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
+from jaxisp.encoder import no_encoder
 from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.align import Alignment, estimate, same_scene, turned_place
@@ -89,6 +90,9 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     # a turned picture is not on its encoder's grid any more
     jpeg = example.jpeg if orientation == 1 else None
     alignment, k1 = radial(picture, guess, alignment)
+    why = jpeg and no_encoder(jpeg)
+    if why:
+        notes.append(f"what its JPEG encoder did is not modelled: {why}")
     example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
     return example, alignment, Lens(k1), orientation, tuple(notes)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jax.sharding import Mesh
 
+from jaxisp.encoder import encoder_of
 from jaxisp.fit import model, noise
 from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
@@ -70,7 +71,8 @@ class Options:
         fixed = (*self.fixed, *([model.SAMPLING] if jpeg else []))
         start = model.start()
         layout = Layout.of(start, sharing(start, self.per_image, fixed))
-        return Problem(self.place, layout, jpeg.subsampling if model.encodable(jpeg) else None)
+        own = encoder_of(jpeg)
+        return Problem(self.place, layout, own[0] if own else None)
 
     @property
     def designs(self) -> list[model.Design]:
@@ -141,17 +143,16 @@ class Search:
                 View(
                     tuple(with_source(c, shot.cfa, design) for c in shot.chunks),
                     shot.geometry,
-                    self._tables(shot.jpeg),
+                    self._encoder(shot.jpeg),
                 )
                 for shot in self.shots
             )
         return self._sources[key]
 
-    def _tables(self, jpeg: Jpeg | None) -> np.ndarray | None:
-        """A file's own, where the encoder that is compiled is its."""
-        if jpeg is None or jpeg.subsampling != self.problem.subsampling:
-            return None
-        return np.stack([jpeg.luma_table, jpeg.chroma_table]).astype(np.float32)
+    def _encoder(self, jpeg: Jpeg | None) -> Params | None:
+        """The parameters of a file's own, where the encoder that is compiled is its."""
+        own = encoder_of(jpeg)
+        return own[1] if own and own[0] == self.problem.encoder else None
 
     def run(self) -> Outcome:
         """All phases."""

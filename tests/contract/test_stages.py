@@ -12,7 +12,14 @@ from jaxisp.testing import CHECKS, Subject
 subject = functools.cache(lambda name: Subject(stage(name)))
 
 
-@pytest.mark.parametrize("check", sorted(CHECKS))
+EACH = [
+    # a plain call compiles a hundred operations one by one
+    pytest.param(check, marks=pytest.mark.slow) if check == "plain_call_agrees" else check
+    for check in CHECKS
+]
+
+
+@pytest.mark.parametrize("check", EACH)
 @pytest.mark.parametrize("name", sorted(STAGES), scope="module")
 def test_stage(name, check):
     CHECKS[check](subject(name))

@@ -17,9 +17,11 @@ from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
+from jaxisp.io.jpeg import decode_jpeg
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
+from tests.io.profiles import COLORANTS, SRGB_CURVE, parametric, profile
 
 pytestmark = pytest.mark.optimised
 
@@ -261,3 +263,29 @@ def test_the_report_is_one_file_without_requests(result, tmp_path):
     assert f"{result.pairs[0].held_out_psnr:.2f}" in text
     rows = parameter_rows(result)
     assert any(name == "bilateral.luma_sigma_space" for name, *_ in rows)
+
+
+def test_what_no_encoder_models_is_noted(folder):
+    given = example(folder)
+    odd = dataclasses.replace(given, jpeg=dataclasses.replace(given.jpeg, subsampling="4:1:1"))
+    assert not any("encoder" in note for note in prepare(given).notes)
+    assert any("JPEG encoder did is not modelled: its chroma sampling 4:1:1" in n for n in prepare(odd).notes)
+
+
+@pytest.mark.slow
+def test_the_encoder_of_a_file_in_display_p3_with_three_tables(folder, tmp_path):
+    """It is rendered while the fit runs, and is part of the camera that is saved."""
+    given = example(folder)
+    icc = profile("P3", COLORANTS["Display P3"], parametric(*SRGB_CURVE))
+    data = io.BytesIO()
+    tables = [[step] * 64 for step in (6, 12, 300)]
+    picture = Image.fromarray(np.rint(given.picture * 255).astype(np.uint8))
+    picture.save(data, "JPEG", qtables=tables, subsampling=0, icc_profile=icc)
+    jpeg = decode_jpeg(data.getvalue(), "a.jpg")
+    wide = dataclasses.replace(given, picture=jpeg.image, jpeg=jpeg)
+    result = fit_examples([wide], steps=1, **PLAIN)
+    result.camera.save(tmp_path / "camera.toml")
+    camera = Recipe.load(tmp_path / "camera.toml")
+    assert camera.chain.nodes[-1].fn.__name__ == "jpeg_file"
+    np.testing.assert_array_equal(camera.prior["jpeg_tables"].tables[:, 0, 0], (6, 12, 300))
+    assert np.isfinite(develop(given.raw, camera)).all()

@@ -58,8 +58,10 @@ def test_what_a_recipe_draws_is_open_from_its_median_and_within_its_range():
 
 
 def test_what_the_header_states_replaces_the_last_compression():
-    tables = np.full((8, 8), 7.0)
-    file = SimpleNamespace(subsampling="4:2:0", luma_table=tables, chroma_table=tables)
+    tables = np.full((3, 8, 8), 7.0)
+    file = SimpleNamespace(
+        subsampling="4:2:0", tables=tables, color_space="YCbCr", converted=False, space=None
+    )
     base = given(find_recipe("phone"), file)
     assert [n.name for n in base.chain.nodes][-2:] == ["rounding", "file"]
     assert "jpeg_photoshop" not in {o.node for o in base.open}

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.encoder import no_encoder
 from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.axes.null_bank import held_against_nulls
@@ -100,6 +101,11 @@ def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
             {"name": name, "reason": _OUTLIER if rows[name]["certain"] else _TWO_SCENES} for name in outliers
         ],
         "failed": [{"file": name, "reason": reason} for name, reason in aligned.failed],
+        "encoder_not_modelled": [
+            {"name": pair.name, "reason": why}
+            for pair in aligned.kept
+            if pair.jpeg and (why := no_encoder(pair.jpeg))
+        ],
     }
 
 
