@@ -74,7 +74,7 @@ class Design:
 
 
 def head(cfa: str, design: Design) -> Chain:
-    """Mosaic to camera RGB: nothing in it is fitted by gradient, so it runs once a picture."""
+    """Mosaic to camera RGB: nothing in it is fitted, so it runs once a picture."""
     nodes: list[Stage] = [
         stage("mosaic_white_balance", cfa=cfa),
         stage("clip"),

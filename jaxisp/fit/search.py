@@ -13,11 +13,12 @@ from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
-from jaxisp.fit.sharing import CAMERA, IMAGE, Layout, sharing
+from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
+from jaxisp.params import map_specs
 from jaxisp.pipeline import Params
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
@@ -45,7 +46,8 @@ class Options:
         median: a footprint, "none", or "auto".
         place: where denoising is; see `model.Design`.
         per_image: parameters that each image has of its own; see `sharing`.
-        fixed: parameters that are not fitted.
+        fixed: parameters that are not fitted, beside `FIXED_NAMES`.
+        free: those of `FIXED_NAMES` that are.
         starts: how many of `model.starts` are tried.
     """
 
@@ -54,7 +56,8 @@ class Options:
     median: str
     place: str
     per_image: tuple[str, ...]
-    fixed: tuple[str, ...]
+    fixed: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
     starts: int = 1
 
     @property
@@ -68,11 +71,12 @@ class Options:
 
     def problem(self, jpeg: Jpeg | None) -> Problem:
         """What is compiled, for files that state their chroma sampling, or for none."""
-        fixed = (*self.fixed, *([model.SAMPLING] if jpeg else []))
         start = model.start()
-        layout = Layout.of(start, sharing(start, self.per_image, fixed))
+        flags = sharing(start, self.per_image, self.fixed, self.free)
+        if jpeg:  # states it
+            flags[model.SAMPLING] = map_specs(lambda spec, _: FIXED, flags[model.SAMPLING])
         own = encoder_of(jpeg)
-        return Problem(self.place, layout, own[0] if own else None)
+        return Problem(self.place, Layout.of(start, flags), own[0] if own else None)
 
     @property
     def designs(self) -> list[model.Design]:

@@ -41,7 +41,7 @@ def solve(gram: np.ndarray, slope: np.ndarray, z: np.ndarray, ranges: np.ndarray
     for _ in range(len(z) + 1):  # coordinates that would leave their range are put on its end
         fixed = ~free
         right = slope - gram[:, fixed] @ move[fixed]
-        damped = gram + np.diag(_RIDGE * diagonal + 1e-12 * diagonal.max() + 1e-30)
+        damped = gram + np.diag(_RIDGE * diagonal + 1e-12 * diagonal.max(initial=0.0) + 1e-30)
         move[free] = np.linalg.solve(damped[np.ix_(free, free)], right[free])
         out = free & ((z + move < ranges[0] - 1e-9) | (z + move > ranges[1] + 1e-9))
         if not out.any():
@@ -83,7 +83,7 @@ def fit(
     Args:
         objective: of the errors.
         point: where the fit starts, with the columns that are kept.
-        which: the coordinates that move.
+        which: the coordinates that move; with none the point is where it was.
         scenes: the pairs that are looked at; all by default.
         steps: at most so many.
         fresh: whose columns are computed anew at each step; the others' are kept. All by default. An
@@ -99,7 +99,7 @@ def fit(
     most, worth = (_FOLLOWED, _ANEW) if objective.follows else (1, _WORTHWHILE)
     at = Fitted(point, task.total(point))
     kept = {} if fresh is None else {i: point.columns[i] for i in task.which if i not in set(fresh)}
-    for _ in range(steps):
+    for _ in range(steps if task.which else 0):  # a given camera has no base to be fitted
         columns = at.point.with_columns({**at.point.columns, **kept})
         at = start = Fitted(objective.compute(columns, task.which), at.total)
         for _ in range(most):

@@ -47,7 +47,6 @@ class Jpeg:
     icc: bytes | None
     converted: bool
     color_space: str
-    progressive: bool
     iso: float | None
     make: str
     model: str
@@ -117,7 +116,6 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
         icc=icc,
         converted=converted,
         color_space=_color_space(frame, picture),
-        progressive=frame.marker in (0xC2, 0xCA),
         orientation=exif.orientation,
         iso=exif.iso,
         make=exif.make,

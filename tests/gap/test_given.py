@@ -15,7 +15,8 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.given import of_recipe
-from jaxisp.gap.base.given_camera import check_camera, of_camera
+from jaxisp.gap.base.given_camera import of_camera
+from jaxisp.gap.base.given_chain import check_camera
 from jaxisp.gap.base.mean import MeanFit
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.objective.pixels import PixelObjective

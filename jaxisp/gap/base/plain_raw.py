@@ -9,7 +9,6 @@ import jax
 import numpy as np
 
 from jaxisp.color import srgb_to_linear
-from jaxisp.errors import InputError
 from jaxisp.gap.base.absorbed import absorbed_shares
 from jaxisp.gap.base.palette import is_colourless, start_matrix, typical_matrix
 from jaxisp.gap.case import Gap
@@ -18,7 +17,7 @@ from jaxisp.gap.gauss_newton import fit
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.crops import common_crop
-from jaxisp.gap.pairs.headers import stated_warp
+from jaxisp.gap.pairs.headers import raws_of, stated_warp
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect
 from jaxisp.gap.simulator.model import (
@@ -63,10 +62,7 @@ def raw_model(
     loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
 ) -> Base:
     """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
-    raws = [p.raw for p in loaded if p.raw is not None]
-    cfa, jpeg = raws[0].cfa, loaded[0].jpeg
-    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
-        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
     sampling = jpeg.subsampling if jpeg else "4:4:4"
     gains, matrix, usual = _start(raws, pairs, cfa)
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))

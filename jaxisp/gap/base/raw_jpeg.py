@@ -2,42 +2,88 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxisp.camera import params_for, with_cfa
 from jaxisp.errors import InputError
+from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.plain_raw import Base, raw_model
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
-from jaxisp.gap.pairs.headers import stated_by
+from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
 from jaxisp.gap.pairs.scenes import Split, split_of
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
-from jaxisp.gap.simulator.model import Model, build
+from jaxisp.gap.simulator.model import Model, build, is_file
 from jaxisp.io.datasets import Loaded
-from jaxisp.pipeline import Chain
+from jaxisp.io.jpeg import Jpeg
+from jaxisp.pipeline import Chain, Node, Params, Stage, stage
+from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
+from jaxisp.stages.choice import HALVED, ChromaSubsampling
+
+_SAMPLING = "chroma_subsampling"
 
 
 def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
-    """A given camera, whose parameters are believed, with what each RAW states put in."""
-    raws = [p.raw for p in loaded if p.raw is not None]
-    chain = with_cfa(camera.chain, raws[0].cfa)
-    if (chain.domain_in.name, chain.domain_out.name) != ("mosaic", "encoded sRGB") or not isinstance(
-        chain, Chain
-    ):
-        raise InputError("the camera must turn a mosaic into encoded sRGB")
+    """A given camera, whose parameters are believed, with what each RAW states put in.
+
+    An effect that the camera has as a stage of the same name acts on that stage, unless each RAW states its
+    parameters or the effect is searched for. It is left out where it has no room to act, and demosaicking
+    where the camera's own is no known algorithm.
+
+    Raises:
+        InputError: it does not turn a mosaic into encoded sRGB, or draws noise or parameters at random.
+    """
+    check_camera(camera)
+    raws, cfa = raws_of(loaded)
     own = [params_for(camera, raw) for raw in raws]
-    stated = [name for name in camera.meta.get("from_file", []) if name in own[0]]
-    per_pair = {name: jax.tree.map(lambda *v: np.stack(v), *(o[name] for o in own)) for name in stated}
-    shared = {name: value for name, value in own[0].items() if name not in stated}
-    return build(with_choice(chain), shared, per_pair, [], effects)
+    stated = [n for n, believed in camera.prior.items() if any(o[n] is not believed for o in own)]
+    searched = [e.name for e in effects if any(m.grid for m in e.moves)]
+    flat = [with_cfa(node, cfa) for node in flat_nodes(camera.chain.nodes, camera)]
+    drawn = [n.name for n in flat if n.stochastic or any(map(is_distribution, _leaves(own[0].get(n.name))))]
+    if drawn:
+        raise InputError(
+            f"camera {camera.name!r}: {', '.join(drawn)} draws at random; beside a RAW, which has its noise, "
+            "a diagnosis needs a camera without noise whose parameters are numbers"
+        )
+    nodes, names = renamed(flat, effects, [*stated, *searched])
+    nodes, sampling = _sampled(nodes, loaded[0].jpeg)
+    chain = with_choice(Chain(tuple(nodes), camera.name))
+    shared = {names.get(n, n): value for n, value in own[0].items() if n not in stated} | sampling
+    per_pair = {names.get(n, n): jax.tree.map(lambda *v: np.stack(v), *(o[n] for o in own)) for n in stated}
+    there = {s.name for s in chain.stages()}
+    tried = [e for e in effects if e.site != "demosaic" or e.name in there]
+    model = build(chain, shared, per_pair, [], tried)
+    acting = {e.name: on_own_stage(e, model.shared[e.name]) for e in tried if e.name in there}
+    moving = {name: acting.get(name, moves) for name, moves in model.effects.items()}
+    return dataclasses.replace(model, effects={name: moves for name, moves in moving.items() if moves})
+
+
+def _leaves(params: Any) -> list[Any]:
+    return jax.tree.leaves(params, is_leaf=is_distribution)
+
+
+def _sampled(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
+    """The nodes with chroma sampled as the file states, or as the camera's own encoder has it where no file
+    states it, in place of what they do as a file; and the parameters of that."""
+    kept, sampling = list(nodes), "" if file is None else file.subsampling
+    while isinstance(last := kept[-1], Stage) and is_file(last):
+        sampling = sampling or str(last.options.get("subsampling", ""))
+        kept.pop()
+    if sampling not in HALVED:
+        return kept, {}
+    name = f"file_{_SAMPLING}" if any(n.name == _SAMPLING for n in kept) else _SAMPLING
+    horizontal, vertical = (np.float32(share) for share in HALVED[sampling])
+    halved = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
+    return [*kept, stage(_SAMPLING, name=name)], {name: halved}
 
 
 def raw_case(
@@ -81,7 +127,7 @@ def raw_case(
     return Case(
         kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
         absorbed=absorbed, floors=objective.floor_errors(stored),
-        offered=[e.name for e in effects if e.name not in apart],
+        offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
         given=f"camera {camera.name}" if camera else None,
         seen=seen,

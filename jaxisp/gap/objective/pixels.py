@@ -131,6 +131,8 @@ class PixelObjective:
 
     def normal(self, point: Point, which: Sequence[int]) -> NormalEquations:
         n = len(self.target)
+        if not which:
+            return NormalEquations(np.zeros((n, 0, 0)), np.zeros((n, 0)))
         stacked = np.stack([point.columns[i].reshape(n, -1) for i in which], 1)
         scale = 1 / self.counts[:, None]
         gram, right = map(np.asarray, _products(stacked, self.residual(point).reshape(n, -1)))

@@ -204,6 +204,9 @@ class StatisticsObjective:
         return point.with_columns({**point.columns, **dict(zip(new, parallel_map(column, new)))})
 
     def normal(self, point: Point, which: Sequence[int]) -> NormalEquations:
+        if not which:
+            n = len(point.errors)
+            return NormalEquations(np.zeros((n, 0, 0)), np.zeros((n, 0)))
         difference = self.difference(point)
         spoiled = self.spoiled(difference)
         count = spoiled.shape[1]

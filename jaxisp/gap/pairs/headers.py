@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxisp.errors import InputError
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
@@ -37,6 +38,15 @@ def stated_warp(
         centre=np.float32((centre - first) / size),
         farthest=np.float32(2 * max(farthest, 1.0) / np.hypot(*size)),
     )
+
+
+def raws_of(loaded: Sequence[Loaded]) -> tuple[list[Raw], str]:
+    """The RAW of each pair, and the colour filter array that all have."""
+    raws = [p.raw for p in loaded if p.raw is not None]
+    cfa = raws[0].cfa
+    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
+        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    return raws, cfa
 
 
 def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[str, str]]]:
