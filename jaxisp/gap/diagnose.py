@@ -10,7 +10,7 @@ from jaxisp.errors import InputError
 from jaxisp.gap.base.clean_noisy import clean_case
 from jaxisp.gap.base.raw_jpeg import raw_case
 from jaxisp.gap.case import Case, Tick
-from jaxisp.gap.criteria import Criteria
+from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.downstream.ceiling import reducible
 from jaxisp.gap.downstream.options import Downstream
 from jaxisp.gap.pairs.align_raw import Aligned
@@ -89,8 +89,8 @@ def diagnose(
     data = open_dataset(dataset)
     _check_kind(dataset, data.kind, recipe, downstream)
     aligned = aligned_pairs(data)
-    case = _with_base(data.kind, aligned, camera, recipe, exclude, seed, tick)
-    case = case if criteria is None else dataclasses.replace(case, criteria=criteria)
+    criteria = CRITERIA[data.kind] if criteria is None else criteria
+    case = _with_base(data.kind, aligned, camera, recipe, exclude, criteria, seed, tick)
     gap = case.gap()
     pictures = example(case, case.point, "before")
     found = searched(case, gap, tick)
@@ -128,6 +128,7 @@ def _with_base(
     camera: Recipe | None,
     recipe: Recipe | None,
     exclude: Sequence[str],
+    criteria: Criteria,
     seed: int,
     tick: Tick,
 ) -> Case:
@@ -135,10 +136,13 @@ def _with_base(
     # the tiles of one that is alone are told apart by masks
     loaded = 2 * aligned.kept if len(aligned.kept) == 1 else aligned.kept
     if kind == RAW_JPEG:
-        return raw_case(loaded, camera, exclude, tick)
+        return raw_case(loaded, camera, exclude, tick, criteria=criteria)
     uncertain = [row["name"] for row in aligned.rows if not row["certain"]]
     simulator, is_camera = camera or recipe, camera is not None
-    return clean_case(loaded, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain)
+    return clean_case(
+        loaded, simulator, exclude, seed, tick,
+        is_camera=is_camera, uncertain=uncertain, criteria=criteria,
+    )  # fmt: skip
 
 
 def _trained(case: Case, found: Found, how: Downstream, tick: Tick) -> dict[str, Any]:

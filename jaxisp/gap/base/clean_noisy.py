@@ -17,7 +17,7 @@ from jaxisp.gap.base.noise import fit_noise, rebased
 from jaxisp.gap.base.open_numbers import fit_open
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.case import Case, Tick
-from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.features.quantization import Quantization, quantization
 from jaxisp.gap.features.residual_statistics import compile_features
 from jaxisp.gap.objective.protocol import Point
@@ -58,6 +58,7 @@ def clean_case(
     *,
     is_camera: bool = False,
     uncertain: Sequence[str] = (),
+    criteria: Criteria = CRITERIA[CLEAN_NOISY],
 ) -> Case:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics.
 
@@ -74,6 +75,7 @@ def clean_case(
         tick: called with (done, total, text).
         is_camera: whether the simulator takes a mosaic, not an encoded picture.
         uncertain: names of pairs whose halves may not show one scene.
+        criteria: what the verdict is decided by.
 
     Raises:
         InputError: no usable pair, an unknown effect, a simulator that cannot be a base.
@@ -91,7 +93,9 @@ def clean_case(
     outliers = _outliers(mean, uncertain)
     kept = [p for p in loaded if p.name not in outliers]
     if 1 < len(kept) < len(loaded):
-        case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain)
+        case = clean_case(
+            kept, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain, criteria=criteria
+        )
         return dataclasses.replace(case, outliers=(*outliers, *case.outliers))
     if simulator is None:
         case = plain_case(mean, effects, seed, tick)
@@ -107,7 +111,8 @@ def clean_case(
         case = _given_case(given, pairs, read, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
     reference = _toned(case.pairs.light, None if believed else mean)
-    return dataclasses.replace(case, offered=_not_stated(case, file), reference=reference)
+    offered = _not_stated(case, file)
+    return dataclasses.replace(case, offered=offered, reference=reference, criteria=criteria)
 
 
 def _not_stated(case: Case, file: Jpeg | None) -> list[str]:

@@ -12,7 +12,7 @@ from jaxisp.color import srgb_to_linear
 from jaxisp.gap.base.absorbed import absorbed_shares
 from jaxisp.gap.base.palette import is_colourless, start_matrix, typical_matrix
 from jaxisp.gap.case import Gap
-from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.gauss_newton import fit
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
@@ -59,7 +59,11 @@ class Base(NamedTuple):
 
 
 def raw_model(
-    loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
+    loaded: Sequence[Loaded],
+    pairs: Pairs,
+    effects: Sequence[Effect],
+    fit_on: Sequence[int],
+    criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Base:
     """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
     (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
@@ -81,19 +85,21 @@ def raw_model(
         return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
 
     found = fitted(matrix, plain_freedom())
-    if usual is None or _at_floor(found, pairs, fit_on, [p.jpeg for p in loaded]):
+    if usual is None or _at_floor(found, pairs, fit_on, [p.jpeg for p in loaded], criteria):
         return found
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
     absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
 
 
-def _at_floor(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
+def _at_floor(
+    base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None], criteria: Criteria
+) -> bool:
     """Whether it leaves no more of these pairs than rounding and the files' compression do."""
     objective, which = PixelObjective.of(pairs), list(which)
     z = np.zeros(len(base.model.coordinates))
     objective = objective.robust(objective.at(base.model, z))
-    at, criteria = objective.at(base.model, z), CRITERIA[RAW_JPEG]
+    at = objective.at(base.model, z)
     floor = objective.floor_errors(objective.floor_difference(at, files))[which].mean()
     left = Gap(float(at.errors[which].mean()), float(floor), criteria.least_unit)
     return not left.exceeds(criteria.null_drop)

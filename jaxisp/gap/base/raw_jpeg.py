@@ -12,7 +12,7 @@ from jaxisp.errors import InputError
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.plain_raw import Base, raw_model
 from jaxisp.gap.case import Case, Tick
-from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
@@ -92,15 +92,16 @@ def raw_case(
     exclude: Sequence[str],
     tick: Tick,
     split: Split | None = None,
+    criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Case:
     """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
     is fitted, unless a split says otherwise."""
-    pairs, criteria, file = raw_pairs(loaded), CRITERIA[RAW_JPEG], loaded[0].jpeg
+    pairs, file = raw_pairs(loaded), loaded[0].jpeg
     split = split_of(pairs.names) if split is None else split
     effects = candidates(RAW_JPEG, exclude)
     tick(0, criteria.most_causes, "fitting the base")
     if camera is None:
-        base = raw_model(loaded, pairs, effects, split.fit)
+        base = raw_model(loaded, pairs, effects, split.fit, criteria)
     else:
         base = Base(camera_model(camera, loaded, effects))
     model, absorbed = base.model, base.absorbed
