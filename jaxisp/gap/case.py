@@ -56,7 +56,7 @@ class Case:
         stored: (N, h, w, 3) what the files do to the pictures, where grain is to be told from it.
         given: what the base is, where it was given; None where a plain one was fitted.
         open_nodes: what of a given base was fitted beside its coordinates.
-        seen: effects that the files themselves show, whatever else explains the gap.
+        seen: effects that the files themselves show.
         unidentifiable: effects that are part of the base and that these pairs cannot show.
         outliers: pairs that were left out, since the base's tones do not carry over to them.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.

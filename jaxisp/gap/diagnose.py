@@ -63,7 +63,7 @@ def diagnose(
     Args:
         dataset: a folder of RAW+JPEG or clean+noisy pairs.
         camera: the simulator, mosaic to encoded sRGB, as `jaxisp.fit` makes it; its parameters are
-            believed. A plain camera is fitted to the pairs where none is given. For clean+noisy pairs the
+            believed. Default: fit a plain camera to the pairs. For clean+noisy pairs the
             curve and matrix that take the clean picture to its sensor are fitted, and the sensor's noise,
             unless the camera has noise of its own.
         recipe: the simulator of clean+noisy pairs, encoded sRGB to encoded sRGB with a mosaic and its
@@ -72,8 +72,8 @@ def diagnose(
             within the range of its prior, one value for all pairs.
         exclude: names of effects that are not tried.
         downstream: how to train small denoisers without and with the accepted effects, or with what comes
-            nearest, measured on the held-out pairs; needs clean+noisy pairs, two scenes or more. None: that
-            is left out.
+            nearest, measured on the held-out pairs; needs clean+noisy pairs, two scenes or more. Default:
+            do not train.
         criteria: what the verdict is decided by; None: those of the kind of pairs.
         seed: of the simulated noise.
         tick: called with (done, total, text).
@@ -146,7 +146,7 @@ def _with_base(
 
 
 def _trained(case: Case, found: Found, how: Downstream, tick: Tick) -> dict[str, Any]:
-    """Denoisers without and with the causes, or with what comes nearest where there is none."""
+    """Denoisers without and with the causes, or with the nearest candidates if none was accepted."""
     from jaxisp.gap.downstream.denoisers import measure_downstream
 
     near = found.refused

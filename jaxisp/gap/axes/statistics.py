@@ -11,9 +11,9 @@ from jaxisp.gap.features.residual_statistics import feature_names
 from jaxisp.gap.features.tolerances import axis_of, present, repeats
 
 _LEAKED = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
-"""Axes that whatever stands in one place shows on too: to a picture's statistics its pixels are outliers."""
+"""Axes that a fixed pattern also shows on: its pixels are outliers to the statistics of a picture."""
 _PLACE = "fixed_pattern"
-_BROAD = 8.0  # px: shading, which is smooth, is no matter of place
+_BROAD = 8.0  # px: shading is smooth, and not counted as a place
 _SURELY = 5.0  # standard deviations of a median over scenes: of 10^5 pixels one may be so far off by chance
 _LEAST_NOISE = 0.5  # 8-bit steps
 _DEVIATION = 1.4826  # of a normal distribution, by its median

@@ -40,7 +40,7 @@ from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 _SMOOTHING = 2.0
 _OUTLIER = 12.0
 """How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
-were fitted to few colours say nothing of others."""
+were fitted to few colours do not carry over to others."""
 _UNLIKE_PAIR = 4.0
 """Likewise, of the median of all, where the two halves of a pair are hardly alike: they show two scenes."""
 _PASSES = 3
@@ -69,7 +69,7 @@ def clean_case(
 
     Args:
         loaded: the pairs.
-        simulator: the base; a plain one is fitted where there is none.
+        simulator: the base; default: fit a plain camera.
         exclude: effects that are not tried.
         seed: of the simulated noise.
         tick: called with (done, total, text).

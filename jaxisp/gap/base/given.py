@@ -139,7 +139,7 @@ class GivenBase:
             elif e.name == "noise_level" and self._noise_moves():
                 on_own[e.name] = self._noise_moves()
             elif e.site == "demosaic":
-                continue  # the simulator's own algorithm is none of the known
+                continue  # the simulator's own algorithm is not a known one
             taken = e.name in self.absorbed or on_own.get(e.name) == ()
             (absorbed if taken else tried).append(e)
         inserted = [e for e in tried if e.name not in on_own or e.name in present]

@@ -45,7 +45,7 @@ def of_camera(recipe: Recipe, effects: Sequence[Effect], mean: MeanFit) -> tuple
         the base, and the pairs with what the sensor saw for light.
 
     Raises:
-        InputError: it is no such camera.
+        InputError: it does not turn a mosaic into encoded sRGB.
     """
     check_camera(recipe)
     plain = mean.camera

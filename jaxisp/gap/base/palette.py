@@ -1,4 +1,4 @@
-"""What colours say of a camera's colour matrix, and what it usually is where they say nothing."""
+"""A camera's colour matrix from the colours of its pictures, and the usual one where they have none."""
 
 import numpy as np
 
@@ -21,7 +21,8 @@ def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
 
     They have less than a thirty-thousandth of their mean square in any direction but grey and one more;
     scenes of usual colours have some hundredths there, with a fortieth of their colours a grey one's share.
-    Noise is no colour: means of neighbouring blocks are multiplied, whose noise is independent.
+    Noise does not count as colour: the means of neighbouring blocks, whose noise is independent, are
+    multiplied.
 
     Args:
         light: (N, H, W, 3) linear, white balanced.

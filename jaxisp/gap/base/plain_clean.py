@@ -118,7 +118,7 @@ class Camera:
 
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
-    """What the file did to the picture, by its header; rounding where that says nothing."""
+    """The file's encoder by its header; rounding where that is not modelled."""
     return stated_encoder(file, "file") or (stage("rounding"), {})
 
 

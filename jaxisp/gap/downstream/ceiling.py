@@ -44,7 +44,7 @@ def reducible(case: Case, gap: Gap, point: Point, after: float, refits: Sequence
 
     Returns:
         {"best": that gap, "how": which model reached it, "explained": the share of `before - best` that the
-        causes close; None where that is no more than nulls have}.
+        causes close; None if cameras that lack nothing have as much}.
     """
     found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
     if case.pixels is not None:  # all effects fit the statistics of a few scenes, and no others

@@ -150,7 +150,7 @@ def _task(case: Case, noisy: np.ndarray) -> _Task:
 
 
 def _kept(path: Path | None) -> dict[str, list[float]]:
-    """The figures of an earlier call; none where there is no such file, or not a whole one."""
+    """The figures of an earlier call; empty if the file is missing or damaged."""
     try:
         found = json.loads(path.read_text()) if path else {}
     except (OSError, ValueError):

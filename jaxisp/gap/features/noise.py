@@ -183,7 +183,7 @@ def _grids(picture: jax.Array, flat: jax.Array) -> Found:
         by_phase = jnp.matmul(jump, phase, precision="highest") / phase.sum(0)
         found[named("logvar block_phase {}{}", [of], range(8))] = _log(by_phase, by_phase.mean(), 0.01)
     h, w = (n // 8 * 8 for n in flat.shape)
-    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges are no noise
+    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges must not count as noise
     near = materialize(jnp.exp(-((_blocks(picture[:, :h, :w]) / 1.5) ** 2)))
     near = jnp.einsum("b,cbk->ck", even, near, precision="highest") / (even.sum() + 1e-3)
     band = (_ORDER // 4).clip(max=2).ravel() == np.arange(3)[:, None]

@@ -21,7 +21,7 @@ FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
 show at multiples of their number."""
 _TABLE = 256
 _FEW = 4
-_BRIGHT = 110.0  # luma above which shot noise leaves nothing of a comb
+_BRIGHT = 110.0  # luma above which shot noise hides a comb
 
 
 class Quantization(NamedTuple):

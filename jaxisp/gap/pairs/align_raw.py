@@ -27,7 +27,7 @@ class Aligned(NamedTuple):
 
     Attributes:
         kept: the pairs.
-        failed: (name, reason) of those that are none.
+        failed: (name, reason) of files that are not a pair.
         rows: what was done, for report.json: by how much the picture was found off the other file.
     """
 

@@ -76,7 +76,7 @@ _MORE = "more pairs, of scenes that differ"
 
 
 def between(effect: str, alternatives: Sequence[str]) -> str | None:
-    """What would tell an effect from these; None where there are none."""
+    """A measurement that would tell an effect from these; None if there are none."""
     if not alternatives:
         return None
     found = [_BETWEEN.get(frozenset((effect, other)), _MORE) for other in alternatives]

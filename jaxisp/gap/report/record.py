@@ -89,7 +89,7 @@ _COLOURS = {"hue", "saturation"}
 
 
 def _refusal(trial: Trial, found: Found, criteria: Criteria) -> str | None:
-    """Why an effect that was refitted is no cause, where its interval does not say so itself."""
+    """Why an effect that was refitted was not accepted, unless its interval says so itself."""
     causes = [t for t, _ in found.causes]
     if causes and closer_in_pixels(causes[0], trial, criteria):
         return f"takes pixels less near than {causes[0].effect}"

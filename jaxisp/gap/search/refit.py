@@ -66,7 +66,7 @@ def refit(
         smooth = [i for i in moving if i not in searched(at.model, [effect])]
         at = fit(part, chosen, smooth, steps=2).point
     held, there = evidence.held_out(point)
-    # of a pattern whose place is drawn pixels say nothing
+    # pixels cannot judge a pattern whose place is drawn
     told = effect not in EFFECTS or not EFFECTS[effect].random
     before, far = held.units(there), distance(held, there.model, there.z) if told else 0.0
     harmless = before

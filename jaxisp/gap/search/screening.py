@@ -49,7 +49,7 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
 
 def hidden(objective: Objective, point: Point, names: Sequence[str], least: float) -> list[str]:
     """Effects that these pairs cannot show: half of their range changes them by less than `least`, a mean
-    square, beyond what the base imitates. Grey scenes say nothing of saturation.
+    square, beyond what the base imitates. Grey scenes cannot show saturation, for example.
 
     Needs the columns of `screen`. An effect that is searched for on a grid has no such change, and is never
     listed.

@@ -77,7 +77,7 @@ class Trial:
         return self.farther < criteria.farthest
 
     def shown(self, criteria: Criteria) -> bool:
-        """Whether pixels show it, whatever statistics say: they come nearer by as much as no out-of-library
+        """Whether pixels alone show it: they come nearer by as much as no out-of-library
         effect's have, or by half of what they are off."""
         plainly = self.farther < -criteria.nearer and self.cleared > criteria.cleared
         return self.farther < -criteria.farthest or plainly

@@ -66,7 +66,7 @@ def terms_of(case: Case, gap: Gap) -> Terms:
     harmless = criteria.null_drop * gap.unit / scale
     alone = max(harmless, criteria.smallest)
     visible = criteria.null_excess * gap.unit
-    # on the file's own grid one more compression imitates a little of whatever compresses otherwise
+    # a second compression on the file's own grid imitates a little of any other compression
     references = set(case.evidence.references)
     barred = [name for name in model.effects if references & set(model.indices([name]))]
     return Terms(

@@ -64,7 +64,7 @@ class Model:
         shared: parameters at z = 0, the same for all pairs.
         per_pair: parameters with a leading axis over the pairs; they hold where both have a node.
         kept: what was rendered, shared with the models made of this one.
-        tied: puts what follows from other parameters, and so is no coordinate, into them.
+        tied: computes the parameters that follow from others; these are not coordinates.
     """
 
     chain: Chain
