@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.domains import Domain
-from jaxisp.registry import REGISTRY, signature
+from jaxisp.registry import CELL, find_stage, locality, signature
 
 Params = dict[str, Any]
 
@@ -47,6 +47,17 @@ class Node:
     def stochastic(self) -> bool:
         return any(signature(s.fn).stochastic for s in self.stages())
 
+    @property
+    def reach(self) -> int | None:
+        """How far from a pixel the result depends on the image [px], as its stages were registered; None
+        where it may depend on the whole frame, or on a pixel's position."""
+        raise NotImplementedError
+
+    @property
+    def block(self) -> int:
+        """Rows of the largest blocks that its stages work in."""
+        return max((locality(s.fn).block for s in self.stages()), default=CELL)
+
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""
         if self.stochastic and key is None:
@@ -74,6 +85,11 @@ class Stage(Node):
     def options(self) -> dict[str, Hashable]:
         """All static options, defaults included."""
         return dict(signature(self.fn).static) | dict(self.static)
+
+    @property
+    def reach(self) -> int | None:
+        known = locality(self.fn).reach
+        return known(self.options) if callable(known) else known
 
     def stages(self) -> Iterator["Stage"]:
         yield self
@@ -127,9 +143,7 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
         KeyError: no stage of that name. TypeError: no such option.
     """
     if isinstance(fn, str):
-        if fn not in REGISTRY:
-            raise KeyError(f"no stage named {fn!r}; there are {', '.join(sorted(REGISTRY))}")
-        fn = REGISTRY[fn]
+        fn = find_stage(fn)
     known = dict(signature(fn).static)
     for option in static:
         if option not in known:

@@ -5,7 +5,8 @@ nesting. All nodes are hashable values: equal pipelines compare equal and share 
 """
 
 import functools
-from collections.abc import Callable, Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,16 +17,17 @@ from jax import lax
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
-from jaxisp.arrays.strips import in_strips_on_cpu
+from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.node import Node, Params, Stage, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
-from jaxisp.registry import REGISTRY, Signature, register, sections, signature
+from jaxisp.registry import CELL, REGISTRY, Signature, register, sections, signature
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
-    "over_batch", "register", "run", "run_batch", "sample_keys", "sections", "signature", "stage",
+    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_keys", "sections", "signature",
+    "stage",
 ]  # fmt: skip
 
 
@@ -42,6 +44,11 @@ class Row(Node):
     @property
     def domain_in(self) -> Domain:
         return _flow(self.nodes)[0]
+
+    @property
+    def reach(self) -> int | None:
+        each = [node.reach for node in self.nodes]
+        return None if None in each else sum(filter(None, each))
 
     def names(self) -> Iterator[str]:
         for node in self.nodes:
@@ -75,13 +82,14 @@ class Chain(Row):
         return _flow(self.nodes)[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        for nodes, reach, unit in _grouping(self.nodes):
-            part = functools.partial(_in_turn, nodes, stored=nodes[0] is self.nodes[0])
+        for group in _groups(self.nodes):
+            part = functools.partial(_in_turn, group.nodes, stored=group.nodes[0] is self.nodes[0])
+            reach = group.reach
             if not reach:
                 image = part(image, params, key)
             else:
-                own = {name: params[name] for node in nodes for name in node.init() if name in params}
-                image = in_strips_on_cpu(part, image, reach, (own,), unit=unit)
+                own = {name: params[name] for name in group.init() if name in params}
+                image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
         return image
 
     def without(self, *names: str) -> "Chain":
@@ -123,6 +131,10 @@ class Gate(Node):
     @property
     def domain_out(self) -> Domain:
         return self.node.domain_out
+
+    @property
+    def reach(self) -> int | None:
+        return self.node.reach
 
     def stages(self) -> Iterator[Stage]:
         return self.node.stages()
@@ -188,22 +200,16 @@ class Shuffle(Row):
         return lax.scan(step, image, jnp.argsort(priority))[0]
 
 
-Groups = Iterable[tuple[tuple[Node, ...], int | None, int]]
-"""Nodes that can run in strips of rows together: of each group its nodes, their reach, rows of a block."""
+def _groups(nodes: Iterable[Node]) -> Iterator[Row]:
+    """Nodes in a row, in groups that can run in strips together.
 
-
-def _each_alone(nodes: tuple[Node, ...]) -> Groups:
-    return [((node,), None, 1) for node in nodes]
-
-
-_grouping: Callable[[tuple[Node, ...]], Groups] = _each_alone
-"""Until `jaxisp.strips`, which knows the stages, says better: each on the whole frame."""
-
-
-def group_by(grouping: Callable[[tuple[Node, ...]], Groups]) -> None:
-    """Say how chains group their nodes."""
-    global _grouping
-    _grouping = grouping
+    An encoder is alone: in the strips that its blocks need, other stages would do more over again. So is a
+    node whose reach is not known.
+    """
+    for alone, group in itertools.groupby(nodes, lambda n: n.reach is None or n.block > CELL):
+        together = tuple(group)
+        for some in [(n,) for n in together] if alone else [together]:
+            yield Row(some, "group")
 
 
 def _in_turn(
@@ -248,6 +254,48 @@ def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = No
     """`node(params, image, key=key)`, compiled once per pipeline and shape."""
     check_backend()  # while this is traced, so once a compile
     return node(params, image, key=key)
+
+
+@functools.partial(jax.jit, static_argnums=0, static_argnames="rows")
+def run_in_strips(
+    node: Node, params: Params, image: jax.Array, key: jax.Array | None = None, *, rows: int = ROWS
+) -> jax.Array:
+    """`run(node, params, image, key)` on a large frame, strip of rows by strip: in less memory and time.
+
+    A strip is computed with as many more rows around it as its stages reach. Stages that need the whole
+    frame, or whose reach is not known, run on all of it, between strips.
+
+    Args:
+        node: a stage or a pipeline; as many of its stages as can run in strips.
+        params: its parameters.
+        image: (H, W, 3) or (H, W).
+        key: where anything draws noise.
+        rows: of a strip.
+
+    Returns:
+        What `run` returns, to rounding.
+    """
+    if node.stochastic and key is None:
+        raise TypeError(f"{node.name} draws noise: pass key=jax.random.key(seed)")
+    for local, group in itertools.groupby(_flat(node), lambda n: n.reach is not None):
+        part = Chain(tuple(group), node.name)
+        if local:
+            reach = part.reach
+            assert reach is not None, "each of its nodes has one"
+            strip = functools.partial(part.apply, params, key=None)
+            image = in_strips(strip, image, reach, rows=rows, unit=part.block)
+        else:
+            image = part.apply(params, materialize(image), key)
+    return image
+
+
+def _flat(node: Node) -> Iterator[Node]:
+    """The nodes of chains within chains."""
+    if not isinstance(node, Chain):
+        yield node
+        return
+    for inner in node.nodes:
+        yield from _flat(inner)
 
 
 @functools.partial(jax.jit, static_argnums=0)

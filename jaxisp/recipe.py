@@ -14,11 +14,10 @@ from jax.typing import ArrayLike
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
-from jaxisp.pipeline import Node, over_batch, sample_keys
+from jaxisp.pipeline import Chain, Node, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
-from jaxisp.strips import Chain
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 

@@ -33,7 +33,7 @@ class OpticalBlur:
     sigma: Leaf = param(0.5, (0.0, 4.0), "px", doc="standard deviation; 0 leaves the image as it is")
 
 
-@register
+@register(reach=lambda o: o["radius"])
 def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: int = 12) -> LinearRGB:
     """Low-pass by the lens or the anti-alias filter.
 

@@ -24,7 +24,7 @@ class UnsharpMask:
     threshold: Leaf = param(0.0, (0.0, 0.2), "level", doc="smaller detail is left alone")
 
 
-@register
+@register(reach=lambda o: o["radius"])
 def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: int = 12) -> RGB:
     """Add what a Gaussian blur takes away: a halo along edges, and amplified noise.
 

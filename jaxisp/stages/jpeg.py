@@ -15,6 +15,10 @@ from jaxisp.jpeg.tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, P
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
+_BLOCK = 16
+"""Rows that are coded together, where chroma is halved."""
+_REACH = 2 * _BLOCK - 1
+"""To the far end of the next of these blocks, from which chroma is interpolated."""
 FIRST_FULL_LEVEL = 7
 """The first of Photoshop's levels that keeps chroma at full resolution."""
 
@@ -26,7 +30,7 @@ class Jpeg:
     quality: Leaf = param(75.0, (1.0, 100.0), "quality", doc="libjpeg's 1 to 100, rounded")
 
 
-@register
+@register(reach=_REACH, block=_BLOCK)
 def jpeg(
     params: Jpeg, image: EncodedRGB, *, subsampling: str = "4:2:0", row_phase: int = 0, column_phase: int = 0
 ) -> EncodedRGB:
@@ -77,7 +81,7 @@ class JpegPhotoshop:
     level: Leaf = param(8.0, (0.0, 12.0), "level", doc="Photoshop's 0 to 12, rounded")
 
 
-@register
+@register(reach=_REACH, block=_BLOCK)
 def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str = "auto") -> EncodedRGB:
     """JPEG with the tables of one of Photoshop's thirteen levels, decoded as libjpeg does.
 
@@ -132,7 +136,7 @@ class JpegTables:
     )
 
 
-@register
+@register(reach=_REACH, block=_BLOCK)
 def jpeg_tables(
     params: JpegTables,
     image: EncodedRGB,

@@ -9,7 +9,7 @@ from jaxisp.domains import EncodedRGB
 from jaxisp.pipeline import register
 
 
-@register
+@register(reach=0)
 def rounding(image: EncodedRGB, *, bits: int = 8, legacy: bool = False) -> EncodedRGB:
     """Clip to [0, 1] and round to the levels of an integer file.
 

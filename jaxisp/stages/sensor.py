@@ -14,7 +14,7 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
 
 
-@register
+@register(reach=0)
 def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
     """Keep one colour at each photosite.
 
@@ -44,7 +44,7 @@ class BlackLevel:
     offset: Leaf = param(0.0, (-0.25, 0.25), "level", doc="what is added to every value")
 
 
-@register
+@register(reach=0)
 def black_level(params: BlackLevel, image: Image) -> Image:
     """Add a constant: the pedestal of a converter, or what is left of a wrong black level.
 
@@ -77,7 +77,7 @@ class Linearization:
     white: Leaf = param(1.0, (0.3, 2.0), "full scale", log=True, doc="level of white")
 
 
-@register
+@register(reach=0)
 def linearization(params: Linearization, image: Mosaic) -> Mosaic:
     """Subtract the black level of each place of the 2x2 cell and put white at 1.
 
@@ -113,7 +113,7 @@ class AdcQuantization:
     bits: Leaf = param(14.0, (2.0, 16.0), "bit", doc="rounded to a whole number")
 
 
-@register
+@register(reach=0)
 def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = False) -> Image:
     """Round to the levels of an analogue-to-digital converter.
 
@@ -186,7 +186,7 @@ class Clip:
     white: Leaf = param(1.0, (0.3, 2.0), "level", log=True, doc="larger values become this")
 
 
-@register
+@register(reach=0)
 def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> Image:
     """Clip to the range that the sensor or the file can hold.
 
@@ -224,7 +224,7 @@ class GreenImbalance:
     )
 
 
-@register
+@register(reach=0)
 def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: str = "RGGB") -> Mosaic:
     """Give the two greens different gains.
 

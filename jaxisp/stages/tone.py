@@ -48,7 +48,7 @@ def _s_curve(x: jax.Array, strength: jax.Array, midpoint: jax.Array) -> jax.Arra
     return y + (x - inside) / slope
 
 
-@register
+@register(reach=0)
 def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
     """Raise the contrast about a midpoint, and lower it near black and white.
 
@@ -74,7 +74,7 @@ def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
     return _apply(_s_curve, image, on, params.strength, params.midpoint)
 
 
-@register
+@register(reach=0)
 def inverse_s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
     """Undo `s_curve` of the same parameters.
 
@@ -107,7 +107,7 @@ class ToneCurve:
     )
 
 
-@register
+@register(reach=0)
 def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
     """A cubic contrast curve.
 
@@ -149,7 +149,7 @@ class ZoneCurve:
     )
 
 
-@register
+@register(reach=0)
 def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
     """Lift or lower N equally spaced zones: a piecewise linear curve through N control points.
 
@@ -188,7 +188,7 @@ class Gray18Gamma:
     gamma: Leaf = param(1.0, (0.4, 1.6), "1", log=True, doc="log-log slope at 18 %; below 1 is flatter")
 
 
-@register
+@register(reach=0)
 def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: str = "channels") -> RGB:
     """A power law that leaves 18 % grey where it is, as contrast in stops about middle grey.
 
@@ -221,7 +221,7 @@ class HighlightRolloff:
     white: Leaf = param(2.0, (1.0, 16.0), "level", log=True, doc="the level that becomes 1; 1 is off")
 
 
-@register
+@register(reach=0)
 def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: str = "channels") -> RGB:
     """Bring highlights above 1 back by a smooth shoulder instead of a clip.
 

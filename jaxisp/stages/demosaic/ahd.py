@@ -30,7 +30,7 @@ from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
 
 
-@register
+@register(reach=lambda o: _reach(o["delta"]) + 2 * o["median_passes"])
 def demosaic_ahd(
     image: Mosaic, *, cfa: str = "RGGB", delta: int = 2, median_passes: int = 0, variant: str = "paper"
 ) -> CameraRGB:
@@ -79,9 +79,9 @@ def demosaic_ahd(
     return interleaved(smooth_differences((red, green, blue), median_passes))
 
 
-def reach(delta: int = 2, median_passes: int = 0) -> int:
-    """How far from a pixel its result depends on the mosaic [px]."""
-    return 4 + delta + 2 * median_passes
+def _reach(delta: int) -> int:
+    """How far from a pixel the choice between the candidates depends on the mosaic [px]."""
+    return 4 + delta
 
 
 class _Options(NamedTuple):
@@ -93,7 +93,7 @@ class _Options(NamedTuple):
 
 def _evaluate(how: _Options, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """The picture, and the decisions: the share of the candidate along rows, then LibRaw's."""
-    rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, reach(how.delta))
+    rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, _reach(how.delta))
     return _joined(how, rgb), decisions
 
 

@@ -42,7 +42,7 @@ def _smooth_differences(passes: int, rgb: Planes) -> Planes:
     return green + differences[0], green, green + differences[1]
 
 
-@register
+@register(reach=lambda o: 2 * o["passes"])
 def color_difference_median(image: CameraRGB, *, passes: int = 1) -> CameraRGB:
     """Take away isolated false colour after demosaicking: 3x3 medians of the colour differences.
 

@@ -1,7 +1,7 @@
 """Bilateral filtering of luma and chroma."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -48,7 +48,14 @@ class Bilateral:
     )
 
 
-@register
+def _reach(options: Mapping[str, Any]) -> int | None:
+    """None on a grid, which has a place of its own in the frame."""
+    if options["chroma_cell"]:
+        return None
+    return int(options["iterations"] * (options["radius"] + options["chroma_radius"]))
+
+
+@register(reach=_reach)
 def bilateral(
     params: Bilateral,
     image: RGB,

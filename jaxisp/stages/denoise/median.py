@@ -97,7 +97,7 @@ class Median:
     strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
 
 
-@register
+@register(reach=lambda o: o["iterations"] * _reach(MEDIANS[o["footprint"]][1]))
 def median(
     params: Median,
     image: RGB,
