@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
+from jaxisp.arrays.barriers import store
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
@@ -222,7 +223,8 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 @functools.partial(jax.jit, static_argnums=0)
 def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
     drawing, _ = _keys(key, start, len(images))
-    params = jax.vmap(recipe.draw)(drawing)
+    # stored, or what is drawn would be computed, and rounded, within what uses it
+    params = store(jax.vmap(recipe.draw)(drawing))
     # the images leave as a copy: what was given may be overwritten or donated
     return _repeat(recipe, key, params, images, start), images, params
 

@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -14,6 +15,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.loader import degrader
 from jaxisp.recipes import RECIPES
+from jaxisp.samples import scene, scene_names
+from jaxisp.stages.denoise.grid_blur import _gaussian
 from tests.conftest import smooth_image
 
 pytestmark = pytest.mark.optimised
@@ -52,18 +55,41 @@ class Rows:
         return IMAGES[np.asarray(indices) % len(IMAGES)]
 
 
-@pytest.mark.parametrize(("name", "count"), [("phone-kodak", 8), ("amwgn", 2)])
-def test_a_sharded_batch_has_the_bits_of_one_device(name, count):
-    recipe, key = RECIPES[name](), jax.random.key(2)
-    wanted, _, params = recipe.degrade(key, IMAGES, 5)
+@pytest.mark.parametrize(("name", "count", "each"), [("phone-kodak", 8, 1), ("amwgn", 2, 8)])
+def test_a_sharded_batch_has_the_bits_of_one_device(name, count, each):
+    recipe, key, images = RECIPES[name](), jax.random.key(2), IMAGES[: count * each]
+    wanted, _, params = recipe.degrade(key, images, 5)
     mesh = Mesh(np.asarray(jax.devices()[:count]), ("batch",))
     rows = NamedSharding(mesh, PartitionSpec("batch"))
-    indices = np.arange(5, 5 + len(IMAGES), dtype=np.int32)
-    spread = jax.jit(degrader(recipe, key, mesh))(*jax.device_put((IMAGES, indices), rows))
+    indices = np.arange(5, 5 + len(images), dtype=np.int32)
+    spread = jax.jit(degrader(recipe, key, mesh))(*jax.device_put((images, indices), rows))
     assert len(spread.sharding.device_set) == count
     np.testing.assert_array_equal(spread, wanted)
-    again = recipe.repeat(key, params, IMAGES, 5)
+    again = recipe.repeat(key, params, images, 5)
     np.testing.assert_array_equal(again, wanted)
+
+
+@pytest.mark.parametrize(("name", "sizes"), [("phone", [1]), ("phone-any", [1]), ("phone-ahd", [1, 2])])
+def test_an_image_has_its_bits_in_a_batch_of_any_size(name, sizes):
+    """Photographs and noise, alone or in twos, as in a batch of sixteen."""
+    recipe, key = RECIPES[name](), jax.random.key(0)
+    noise = np.random.default_rng(0).uniform(size=(12, 64, 64, 3))
+    photographs = [scene(n, 64) for n in scene_names()[:4]]
+    images = np.concatenate([photographs, noise]).astype(np.float32)
+    wanted = np.asarray(recipe.degrade(key, images)[0])
+    for size in sizes:
+        parts = [recipe.degrade(key, images[i : i + size], i)[0] for i in range(0, len(images), size)]
+        np.testing.assert_array_equal(np.concatenate(parts), wanted)
+
+
+@pytest.mark.parametrize("bins", [3, 20, 33])
+def test_the_kernel_of_a_bilateral_grid_has_its_bits_in_a_batch_of_any_size(bins):
+    """XLA sums a product with a single column, or with few, in other orders."""
+    variances = np.linspace(0.1, 9, 32).astype(np.float32)
+    kernels = jax.jit(jax.vmap(partial(_gaussian, bins)))
+    for size in (1, 2, 8):
+        parts = [kernels(variances[i : i + size]) for i in range(0, len(variances), size)]
+        np.testing.assert_array_equal(np.concatenate(parts), kernels(variances))
 
 
 def test_two_processes_give_the_bits_of_one(tmp_path):
