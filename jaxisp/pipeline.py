@@ -6,7 +6,7 @@ nesting. All nodes are hashable values: equal pipelines compare equal and share 
 
 import functools
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import NamedSharding, PartitionSpec
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
+from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.node import Node, Params, Stage, stage
+from jaxisp.node import Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.registry import CELL, REGISTRY, Signature, register, sections, signature
@@ -40,6 +42,9 @@ class Row(Node):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", tuple(self.nodes))
+        for node in self.nodes:
+            _require_node(node, type(self).__name__)
+        _check_pattern(self.stages())
 
     @property
     def domain_in(self) -> Domain:
@@ -121,6 +126,7 @@ class Gate(Node):
     name: str = ""
 
     def __post_init__(self) -> None:
+        _require_node(self.node, "Gate")
         object.__setattr__(self, "name", self.name or f"use_{self.node.name}")
         _require_keeping(self.node, "Gate")
 
@@ -148,7 +154,7 @@ class Gate(Node):
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         # not jnp.where: a dead branch would leak NaN gradients
-        on = params[self.name].on > 0.5
+        on = entry(params, self.name, Switch).on > 0.5
         return lax.cond(on, lambda x: self.node.apply(params, x, key), lambda x: x, image)
 
 
@@ -189,7 +195,7 @@ class Shuffle(Row):
         return {self.name: order, **super().init()}
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        priority = params[self.name].priority
+        priority = entry(params, self.name, Order).priority
         if priority.shape != (len(self.nodes),):
             raise TypeError(f"{self.name!r} orders {len(self.nodes)} nodes, got priorities {priority.shape}")
         branches = [functools.partial(node.apply, params, key=key) for node in self.nodes]
@@ -239,6 +245,27 @@ def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
         if not node.domain_out.keeps:
             now = node.domain_out
     return first, now
+
+
+def _require_node(node: Any, what: str) -> None:
+    if not isinstance(node, Node):
+        advice = f": stage({node!r})?" if isinstance(node, str) else ", as stage(...) makes"
+        raise TypeError(f"{what} takes stages and pipelines, got {node!r}{advice}")
+
+
+def _check_pattern(stages: Iterable[Stage]) -> None:
+    """Raise ValueError where two stages in a row take a mosaic for one of another pattern."""
+    first: Stage | None = None
+    for now in stages:
+        if "cfa" in now.options:
+            first = first or now
+            a, b = first.options["cfa"], now.options["cfa"]
+            if a != b:
+                raise ValueError(
+                    f"{first.name!r} has cfa={a!r} and {now.name!r} {b!r}, which takes one colour for another"
+                )
+        if now.domain_out.channels == 3:
+            first = None  # what comes next may be another sensor
 
 
 def _require_keeping(node: Node, what: str) -> None:
@@ -312,7 +339,7 @@ def run_batch(
         start: the global index of the first image.
     """
     check_backend()
-    params = {name: params[name] for name in node.init()}
+    params = {name: entry(params, name, type(own)) for name, own in node.init().items()}
     keys = None if key is None else sample_keys(key, start + jnp.arange(len(images)))
     return over_batch(node, params, images, keys)
 
@@ -326,6 +353,9 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     if 0 in images.shape[1:]:
         raise ValueError(f"{node.name}: pictures without pixels, of shape {images.shape[1:]}")
     axes = batch_axes(params)
+    spread = spread_over(images)
+    if spread is not None:
+        return _spread(spread, functools.partial(over_batch, node), axes, params, images, keys)
 
     def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         return node(params, image, key=key)
@@ -350,7 +380,31 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
         if size < len(images) and jax.default_backend() == "cpu":
             return in_groups(together, size, axes, params, images, keys)
         return together(params, images, keys)
+    if varying((params, images, keys)):
+        # under vmap jax 0.10 lets a branch's constants vary as the switch does, and then refuses them
+        return in_turn(params, images, keys)
     return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
+
+
+def _spread(
+    mesh: jax.sharding.AbstractMesh,
+    fn: Callable[..., jax.Array],
+    axes: Any,
+    params: Any,
+    images: Any,
+    keys: Any,
+) -> jax.Array:
+    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh."""
+    rows = PartitionSpec(jax.typeof(images).sharding.spec[0])
+    specs = jax.tree.map(lambda a: PartitionSpec() if a is None else rows, axes, is_leaf=lambda a: a is None)
+    in_specs = (specs, rows, None if keys is None else rows)
+    given = jax.tree.map(
+        lambda spec, x: jax.sharding.reshard(x, NamedSharding(mesh, spec)),
+        in_specs,
+        (params, images, keys),
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
+    )
+    return jax.shard_map(fn, mesh=mesh, in_specs=in_specs, out_specs=rows, check_vma=False)(*given)
 
 
 def sample_keys(key: jax.Array, indices: jax.Array) -> jax.Array:

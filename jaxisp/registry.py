@@ -102,13 +102,15 @@ def locality(fn: StageFunction) -> Locality:
     return _LOCALITY.get(fn, Locality())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Signature:
     """What a stage function declares."""
 
     params: type | None
     stochastic: bool
     static: tuple[tuple[str, Hashable], ...]
+    hints: Mapping[str, Any]
+    """Annotations of the static options."""
     domain_in: Domain
     domain_out: Domain
 
@@ -129,7 +131,10 @@ def signature(fn: StageFunction) -> Signature:
         domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
     except (KeyError, AttributeError):
         raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
-    return Signature(hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out)
+    limits = {name: hints[name] for name in static if name in hints}
+    return Signature(
+        hints.get("params"), "key" in arguments, tuple(static.items()), limits, domain_in, domain_out
+    )
 
 
 def sections(fn: Callable[..., Any]) -> dict[str, str]:

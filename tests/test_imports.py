@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
     {"errors", "process"},
-    {"params", "domains", "arrays"},
+    {"params", "domains", "options", "arrays"},
     {"checks", "priors", "cfa", "color", "colorimetry", "metrics", "losses"},
     {"registry"},
     {"node"},

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxisp import cfa as bayer
 from jaxisp.arrays.linear import scaled
 from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.cfa import Pattern
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
@@ -43,7 +44,7 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
 
 
 @register(reach=0)
-def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: str = "RGGB") -> Mosaic:
+def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Multiply each photosite by the gain of its colour.
 
     `y = gains_c * x`, with c the colour of the photosite, not clipped.

@@ -8,14 +8,16 @@ from jaxisp.arrays.linear import linear_call, pointwise, scaled
 from jaxisp.arrays.planes import planes
 from jaxisp.arrays.safe_math import clip_through, round_through, straight_through
 from jaxisp.arrays.stencils import edge_counts, pad
+from jaxisp.cfa import Pattern
 from jaxisp.domains import Image, LinearRGB, Mosaic
+from jaxisp.options import Share
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
 
 
 @register(reach=0)
-def mosaic(image: LinearRGB, *, cfa: str = "RGGB") -> Mosaic:
+def mosaic(image: LinearRGB, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Keep one colour at each photosite.
 
     `y = x_c`, with c the colour of the photosite in the Bayer pattern.
@@ -187,7 +189,7 @@ class Clip:
 
 
 @register(reach=0)
-def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> Image:
+def clip(params: Clip, image: Image, *, low: float = 0.0, leak: Share = 0.0) -> Image:
     """Clip to the range that the sensor or the file can hold.
 
     `y = min(max(x, low), white)`.
@@ -225,7 +227,7 @@ class GreenImbalance:
 
 
 @register(reach=0)
-def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: str = "RGGB") -> Mosaic:
+def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Give the two greens different gains.
 
     `y = x (1 + difference / 2)` at greens in red's rows, `x (1 - difference / 2)` at those in blue's rows;

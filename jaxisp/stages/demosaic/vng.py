@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Sites, sites
@@ -20,7 +20,7 @@ _DIAGONAL: list[Offset] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
 
 
 @register(reach=2)
-def demosaic_vng(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+def demosaic_vng(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Take colour differences from those of eight directions whose gradients are small.
 
     A direction's gradient is a sum of absolute differences of like samples in the 5x5 window; those count
