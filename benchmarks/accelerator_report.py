@@ -9,10 +9,14 @@ INTRODUCTION = """# Whole batches and single stages on {device}
 Made by `python -m benchmarks.accelerator --stages 1024 --kernels --report PAGE` with jax {jax}; the
 page alone with `--render --out RESULTS`.
 
-Medians in ms. *In a row* is one of eight calls of which the last is waited for, as a training loop makes
-them; *waited for* is one call and its result. *Kernels* is what they take by the device's own clock, and how
-many run. The *floor* is a copy that reads and writes as many bytes as the stage has to. *kornia* runs on the
-same device, on tensors that are there, in a row too; its outputs are compared with ours before it is timed.
+Medians in ms.
+
+- *in a row*: one of eight calls of which only the last is waited for, as in a training loop.
+- *waited for*: one call and its result.
+- *kernels*: their time by the device's own clock, and how many run.
+- *floor*: a copy that reads and writes as many bytes as the stage has to.
+- *kornia*: on the same device, on tensors that are already there, in a row too. Its outputs are compared with
+  ours before it is timed.
 """
 HEADERS = (
     "what", "images", "in a row", "images/s", "waited for", "kernels", "x floor", "first call", "kornia",

@@ -9,7 +9,7 @@ from typing import Any
 Results = dict[str, Any]
 Row = list[str]
 
-HEAD = ("stage", "size", "against", "asked for", "measured", "")
+HEAD = ("stage", "size", "against", "goal", "measured", "")
 BATCH, LARGE = "batch", "1 MP"
 _PLANES = ", 3 planes each"
 _WAVELET = f"wavelet db2, 3 levels there and back{_PLANES}"

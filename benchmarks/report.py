@@ -12,14 +12,16 @@ INTRODUCTION = """# Performance{where}
 
 Made by `make bench`; the page alone by `python -m benchmarks.peers --render`.
 
-Calls take turns in one process after a warm-up; times are medians in ms, with the interquartile range
-in brackets. Each call runs for {warm} ms before every sample of it, unless it takes over 0.3 s: the first
-call after another library's took up to twice as long, as that one's threads wait busily. A batch is 32
-images of 80x80. *peer / ours* above 1 is faster than the peer; *goal* is the least such ratio aimed at.
-Outputs are compared before they are timed. The *floor* is the larger of bytes over the bandwidth of a
-copy of that size and flops over the speed of a matrix product, both measured in the same run. *First
-call* is compilation and one run. *Scratch* is the memory the compiled program takes beside its input and
-output.
+Calls take turns in one process after a warm-up. Times are medians in ms, with the interquartile range in
+brackets. Each call runs for {warm} ms before every sample of it, unless it takes over 0.3 s. Without that,
+the first call after another library's took up to twice as long, as that one's threads wait busily. A batch is
+32 images of 80x80. Outputs are compared before they are timed.
+
+- *peer / ours*: above 1 this package is faster. *goal* is the least ratio aimed at.
+- *floor*: bytes over the bandwidth of a copy of that size, or flops over the speed of a matrix product,
+  whichever is larger. Both speeds are measured in the same run.
+- *first call*: compilation and one run.
+- *scratch*: memory of the compiled program beside its input and output.
 """
 
 
@@ -74,16 +76,16 @@ def tally(results: dict[str, Any]) -> str:
 
 
 def asked_for(results: dict[str, Any], began: dict[str, Any] | None) -> str:
-    """What was asked for at the outset, met or missed."""
+    """The goals set at the outset, met or missed."""
     rows = list(musts.rows(results, began))
     if not rows:
         return ""
     met = sum(row[-1] == "met" for row in rows)
     text = (
-        f"{met} of {len(rows)} are met. A ratio is the other's time over ours; what the paper's code takes "
-        "is a stated figure, not measured here."
+        f"{met} of {len(rows)} are met. A ratio is the other's time over ours. The time of the paper's code "
+        "is the figure that its authors state, not measured here."
     )
-    return f"## What was asked for\n\n{text}\n\n{table(musts.HEAD, rows)}"
+    return f"## Goals\n\n{text}\n\n{table(musts.HEAD, rows)}"
 
 
 def starts(began: dict[str, Any] | None) -> str:
@@ -96,8 +98,8 @@ def starts(began: dict[str, Any] | None) -> str:
     rows = [[name, *(f"{began[which][key]:.1f} s" for key in keys)] for which, name in names.items()]
     before, peak = began["develop"]["before_mb"], began["develop"]["peak_mb"]
     text = (
-        f"By `python -m benchmarks.start`. Developing 12 MP, the process held {before} MB with its picture "
-        f"made and at most {peak} MB after."
+        f"By `python -m benchmarks.start`. Developing 12 MP, the process held {before} MB once its picture "
+        f"was made, and at most {peak} MB after."
     )
     return f"## First and second start\n\n{table(head, rows)}\n\n{text}"
 
@@ -193,14 +195,13 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 EXACTNESS = """# Exactness
 
-Made by `make bench` (`python -m benchmarks.exactness`). Each row is the worst of all its cases; levels
-are of an image in [0, 1] unless another unit is given. The tests hold the same bounds on fewer cases.
+Made by `make bench` (`python -m benchmarks.exactness`). Each row is the worst of all its cases. Levels are of
+an image in [0, 1] unless another unit is given. The tests hold the same bounds on fewer cases.
 
-- Borders: everything is reflected about the edge pixel, which keeps the phase of the colour filters.
-  colour-demosaicing repeats the edge pixel, so what its borders reach differs by design: 1 px for
-  bilinear, 2 for Malvar, 8 for Menon.
-- In double precision the bounds are those of single precision; the figures say how much of them is
-  rounding.
+- Borders: all stages reflect about the edge pixel, which keeps the phase of the colour filters.
+  colour-demosaicing repeats the edge pixel, so pixels near its borders differ by design: 1 px for bilinear, 2
+  for Malvar, 8 for Menon.
+- Double precision has the same bounds as single precision. Its figures show how much of them is rounding.
 """
 
 

@@ -10,10 +10,12 @@ INTRODUCTION = """# Every stage
 
 Made by `python -m benchmarks.stages`; the page alone by `python -m benchmarks.stages --render`.
 
-Each stage at its default parameters on a batch of 32 images of 80x80, the gradient to its parameters and to
-the images; medians in ms, with the interquartile range in brackets. *First call* is compilation and one
-run. Goals: a gradient at most 6 times the forward's time, a first call at most 6 s, a stage that is
-switched off at most 5 % of its time, and no chain over twice the sum of its stages.
+Each stage runs at its default parameters on a batch of 32 images of 80x80. The gradient is to its parameters
+and to the images. Times are medians in ms, with the interquartile range in brackets. *First call* is
+compilation and one run.
+
+Goals: a gradient takes at most 6 times the forward's time, a first call at most 6 s, and a stage that is
+switched off at most 5 % of its time. No chain takes over twice the sum of its stages.
 """
 GRADIENT, FIRST, OFF, CHAIN = 6.0, 6.0, 0.05, 2.0
 

@@ -27,6 +27,7 @@ from jaxisp.train import degrader, init_state, make_mesh, make_step, replicate
 
 BATCH, SIDE, RECIPE, MODEL = 32, 80, "phone", "fast"
 STEP, DEGRADE, TORCH = "step, degrading included", "degrading alone", "PyTorch, nothing degraded"
+RESULTS, PAGE = Path("benchmarks/results/training.json"), Path("docs/results/training.md")
 GOALS = {"share": 0.25, "ratio": 1.7}
 
 
@@ -34,7 +35,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--seconds", type=float, default=50.0, help="no further round is begun after")
-    parser.add_argument("--out", type=Path, default=Path("docs/results"))
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--report", type=Path, default=PAGE)
     arguments = parser.parse_args()
     use_cores()
     busy = [load()]
@@ -44,9 +46,10 @@ def main() -> None:
     samples = interleaved(calls, arguments.rounds, arguments.seconds)
     results = {name: {**summary(times), "rounds": len(times)} for name, times in samples.items()}
     found = {"machine": machine(), "load": [*busy, load()], "milliseconds": results}
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "training.json").write_text(json.dumps(found, indent=1) + "\n")
-    (arguments.out / "training.md").write_text(markdown(found))
+    written = {arguments.out: json.dumps(found, indent=1) + "\n", arguments.report: markdown(found)}
+    for path, text in written.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
     print(markdown(found))
 
 

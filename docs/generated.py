@@ -135,7 +135,7 @@ def effects() -> Iterator[str]:
         yield f"- **stage** [`{row['stage']}`](#{_label(row['stage'])}), at {row['site']}"
         yield f"- **moves** {moves}"
         yield f"- **shows in** {', '.join(row['shows_in'])}; by {', '.join(row['axes'])}"
-        yield f"- **easily taken for it** {', '.join(f'`{a}`' for a in row['alternatives']) or 'nothing'}\n"
+        yield f"- **easily confused with** {', '.join(f'`{a}`' for a in row['alternatives']) or 'nothing'}\n"
 
 
 def peers() -> Iterator[str]:

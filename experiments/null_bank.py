@@ -1,7 +1,8 @@
-r"""The null bank: how large each axis is for cameras that lack nothing, from results of `study`.
+"""The null bank: how large each axis is for cameras that lack nothing, from results of `study`.
 
-    python -m experiments.null_bank docs/results/withheld-17-nulls.json docs/results/withheld-20-frames.json \
-        -o jaxisp/gap/axes/nulls.json
+    python -m experiments.null_bank docs/results/diagnosis.json -o jaxisp/gap/axes/nulls.json
+
+Results are files that `study` wrote, or the one that `experiments.evaluation` collects them in.
 
 Prints how often a camera of one body would be said to have an axis beyond the bank that the others make.
 """
@@ -52,12 +53,18 @@ def left_out(by_body: Mapping[str, Sequence[Sizes]]) -> tuple[int, int]:
     return named, sum(map(len, by_body.values()))
 
 
+def nulls_in(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The cases of a file of `study`, or of the groups of nulls in one of `evaluation`."""
+    groups = [found] if "cases" in found else [found["nulls"], found["frames"]]
+    return [record for group in groups for record in group["cases"].values()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("results", nargs="+", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
-    records = [r for path in arguments.results for r in json.loads(path.read_text())["cases"].values()]
+    records = [r for path in arguments.results for r in nulls_in(json.loads(path.read_text()))]
     banks = {}
     for kind in KINDS:
         by_body: dict[str, list[Sizes]] = {}

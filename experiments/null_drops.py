@@ -35,7 +35,7 @@ PAGE = """# What effects lower where nothing is missing
 python -m experiments.null_drops {command}
 ```
 
-Cameras of the null study ([what they are](withheld-17-nulls.md)), in which a diagnosis looks for a cause
+Cameras that lack nothing ([the study](../diagnosis-evaluation.md)), in which a diagnosis looks for a cause
 though their gap is near its floor. Of each camera the effect that lowers the gap of the held-out pairs most
 surely, of those that take pixels no farther away: by how much, in floors (RAW+JPEG: of {unit} squared 8-bit
 steps at least), and the lower end of that drop's 90 % interval, which is what an effect is accepted by.

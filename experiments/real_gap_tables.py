@@ -16,7 +16,7 @@ TITLES = {
     "sony": "PolyU, Sony A7 II",
     "sidd": "SIDD",
 }
-_HEAD = (
+HEAD = (
     "pictures", "pairs", "gap before", "after", "floor", "on these axes, share", "causes, share closed",
     "alternatives", "left", "denoisers (spread over seeds)", "seconds",
 )  # fmt: skip
@@ -26,10 +26,10 @@ _TEXT = """# The diagnosis of real photographs
 python -m experiments.real_gap DATA --downstream --out docs/results/real-gap.json
 ```
 
-Nobody knows their truth: what stands here is what the diagnosis says. Gaps of RAW+JPEG pairs are in squared
-8-bit steps, those of clean+noisy pairs in units of what is harmless or chance, squared; all are of pairs held
-out. Decibels are of these mean squares. Where no effect accounts for a gap, "after" is what it would be with
-what was refused, and denoisers are trained with that. In square brackets: 90 % intervals.
+Nobody knows the truth of these pictures; the table states what the diagnosis says. All gaps are of held-out
+pairs. RAW+JPEG gaps are in squared 8-bit steps, clean+noisy gaps in units of chance and harmless differences,
+squared. Decibels are of these mean squares. Where no effect accounts for a gap, "after" is the gap with the
+refused effect added, and denoisers are trained with that. Square brackets hold 90 % intervals.
 """
 
 
@@ -149,5 +149,5 @@ def markdown(found: Mapping[str, Record]) -> str:
     lines = [f"- **{TITLES[name]}.** {claim(record)}" for name, record in good.items()]
     lines += [f"- **{TITLES[n]}** failed: {r['failed']}" for n, r in found.items() if n not in good]
     return "\n".join(
-        [_TEXT, "## Public claim", "", table(_HEAD, (row(n, r) for n, r in good.items())), *lines, ""]
+        [_TEXT, "## Public claim", "", table(HEAD, (row(n, r) for n, r in good.items())), *lines, ""]
     )

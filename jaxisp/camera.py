@@ -8,6 +8,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError
@@ -75,14 +76,16 @@ def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
 
 
 def exposure_for_highlights(raw: Raw) -> float:
-    """The exposure [EV, 0 to 5] that brings the 99th percentile of the brightest balanced colour to white."""
+    """The exposure [EV, 0 to 5] that brings the 99th percentile of the brightest balanced colour to white,
+    and at least the baseline exposure that the file states."""
     gains = np.ones(3) if raw.white_balanced else raw.white_balance
     mosaic = shaded_mosaic(raw)
     brightest = max(
         gains["RGB".index(color)] * high_percentile(mosaic[i // 2 :: 2, i % 2 :: 2], 99)
         for i, color in enumerate(raw.cfa)
     )
-    return float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5))
+    # a gain of the file's own before this one would be undone by it as far as highlights are below white
+    return max(float(np.clip(-np.log2(max(brightest, 1e-9)), 0, 5)), raw.baseline_exposure)
 
 
 def high_percentile(plane: np.ndarray, percent: float) -> float:
@@ -100,6 +103,7 @@ def high_percentile(plane: np.ndarray, percent: float) -> float:
 
 def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
     """Render a RAW file. The lens shading that it states is corrected; what it states of distortion is not.
+    Pixels that are not square are made so.
 
     Large frames are rendered in strips of rows, as far as the camera's stages allow it.
 
@@ -126,4 +130,8 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             raise InputError(f"camera {camera.name!r}: {name} is drawn at random; developing needs numbers")
     whole = Chain((chain, stage("clip", name=DISPLAY)), chain.name)
     params = {**params_for(camera, raw), DISPLAY: Clip()}
-    return orient(np.asarray(run_in_strips(whole, params, shaded_mosaic(raw), key)), raw.orientation)
+    picture = run_in_strips(whole, params, shaded_mosaic(raw), key)
+    if raw.scale != (1, 1):
+        height, width = (max(1, round(n * by)) for n, by in zip(raw.mosaic.shape, raw.scale))
+        picture = jnp.clip(jax.image.resize(picture, (height, width, 3), "cubic"), 0, 1)
+    return orient(np.asarray(picture), raw.orientation)

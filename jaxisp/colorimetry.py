@@ -1,4 +1,4 @@
-"""Illuminants and primaries: the Planckian locus, ROMM primaries, camera matrices."""
+"""Illuminants and primaries: the Planckian locus, ROMM primaries."""
 
 from typing import Any
 
@@ -98,27 +98,3 @@ PROPHOTO_TO_SRGB = _prophoto_to_srgb()
 
 SRGB_TO_PROPHOTO = np.linalg.inv(PROPHOTO_TO_SRGB)
 """The exact inverse."""
-
-
-def camera_to_srgb_matrix(xyz_to_camera: Any) -> np.ndarray:
-    """The matrix that takes white-balanced camera RGB to linear sRGB, as dcraw makes it.
-
-    The camera's response to sRGB's primaries, each row scaled to sum to 1 (which is the white
-    balance for D65), inverted. So its rows sum to 1: white stays white.
-
-    Args:
-        xyz_to_camera: 3x3, a DNG ColorMatrix: CIE XYZ to the camera's own RGB.
-
-    Raises:
-        ValueError: the matrix is not 3x3, not finite, or has no inverse.
-
-    Source: Coffin, dcraw, cam_xyz_coeff; DNG Specification 1.6, chapter 6.
-    """
-    matrix = np.asarray(xyz_to_camera, np.float64)
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise ValueError(f"xyz_to_camera: expected 3x3 finite numbers, got {matrix.tolist()}")
-    camera = matrix @ SRGB_TO_XYZ
-    white = camera.sum(axis=1, keepdims=True)
-    if (np.abs(white) < 1e-9).any() or np.linalg.cond(camera) > 1e9:
-        raise ValueError(f"xyz_to_camera: has no inverse that keeps white: {matrix.tolist()}")
-    return np.linalg.inv(camera / white)

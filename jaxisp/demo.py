@@ -1,6 +1,5 @@
 """The main job on the package's own data: pairs, fit, degrading, denoiser, diagnosis, one HTML page."""
 
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ from jaxisp.fit.report import add_fit
 from jaxisp.gap import diagnose
 from jaxisp.generate import degrade_files
 from jaxisp.io import open_dataset, orient, output_folder, write_png
+from jaxisp.io.digests import own_folder
 from jaxisp.metrics import psnr
 from jaxisp.pipeline import Chain, run
 from jaxisp.recipe import Recipe
@@ -45,7 +45,8 @@ def run_demo(
     """Run the demo into a folder.
 
     Args:
-        out: the folder; `report.html` in it shows the results.
+        out: the folder, new or empty, or of an earlier demo, which is replaced; `report.html` in it shows the
+            results.
         seed: of everything that is drawn.
         steps: of the fit.
         training: steps of the denoiser's training: enough to see it learn, not to be good.
@@ -53,8 +54,16 @@ def run_demo(
 
     Returns:
         {"report", "fit", "degrade", "train", "diagnose", "seconds"}.
+
+    Raises:
+        InputError: the folder cannot be written, or holds files that no demo wrote.
     """
-    clock, folder = time.perf_counter(), output_folder(out)
+    with own_folder(out, "demo.json") as folder:
+        return _run(folder, seed, steps, training, tick)
+
+
+def _run(folder: Path, seed: int, steps: int, training: int, tick: Tick) -> dict[str, Any]:
+    clock = time.perf_counter()
     page = Page(
         "jaxisp: a camera in JAX",
         "Made offline from data that comes with the package: a reference phone, written without any of the "
@@ -157,7 +166,6 @@ def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, see
         clean=(str(out / "clean"),), recipe="phone", steps=steps, batch=16, patch=48, downsample=1,
         held_out=1, validation=16, lr=2e-3, warmup=10, ema=0.9, checkpoint_every=steps, seed=seed,
     )  # fmt: skip
-    shutil.rmtree(out / "run", ignore_errors=True)  # of an earlier demo
     result = train(config, out / "run")
     denoiser, _ = load_denoiser(out / "run", "last")
     clean = np.stack([_crop(_encoded(p)) for p in photographs])

@@ -14,6 +14,19 @@ def meant(name: str, known: Iterable[str]) -> str:
     return f"; is it {' or '.join(close)}?" if close else ""
 
 
+def printable(text: str) -> str:
+    """A text, of files and their names perhaps, without what a terminal would act on.
+
+    What is no letter, sign or blank (control characters, directions of writing, bytes that are no UTF-8)
+    stands as an escape like `\\x1b`; line breaks and other blanks are spaces.
+    """
+    return "".join(c if c.isprintable() else " " if c.isspace() else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
 def one_line(error: BaseException, most: int = 200) -> str:
     """What an error says, as one line of at most so many characters."""
     text = " ".join(str(error).split())

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+import os
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +15,17 @@ import numpy as np
 import tomli_w
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import find_images, write_text
+from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
+from jaxisp.io.files import (
+    MOST_NAME,
+    check_new,
+    check_output,
+    find_images,
+    parse_toml,
+    real_paths,
+    write_new,
+    write_text,
+)
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
 from jaxisp.recipe import Recipe, check_photographs, check_traces
@@ -87,6 +98,7 @@ class Work:
     seed: int = 0
     start: int = 0
     paths: list[Path] = dataclasses.field(init=False)
+    _digests: dict[Path, str] = dataclasses.field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         check_photographs(self.recipe)
@@ -102,6 +114,11 @@ class Work:
     def digest(self) -> str:
         """SHA-256 of the recipe's TOML."""
         return hashlib.sha256(self.recipe.to_toml().encode()).hexdigest()
+
+    @functools.cached_property
+    def inputs_real(self) -> frozenset[str]:
+        """The inputs without links, which no output may replace."""
+        return real_paths(self.paths)
 
     def sample(self, k: int) -> Sample:
         path, version = self.paths[k // self.count], k % self.count
@@ -130,6 +147,15 @@ class Work:
             drawn = jax.tree.map(lambda leaf, i=i: leaf[i], params)
             yield Degraded(sample, clean, noisy[i], self._drawn(sample, drawn))
 
+    def digest_of(self, path: Path) -> str:
+        """SHA-256 of an input, taken once; "" where it cannot be read."""
+        if path not in self._digests:
+            try:
+                self._digests[path] = digest_of(path)
+            except InputError:
+                self._digests[path] = ""
+        return self._digests[path]
+
     def _drawn(self, sample: Sample, params: dict[str, Any]) -> Recipe:
         note = {"sample": self.note(sample)}
         return Recipe(self.recipe.chain, params, f"the parameters drawn for {sample.stem}", note)
@@ -138,6 +164,7 @@ class Work:
         """What says which sample of which run it is."""
         return {
             "source": sample.path.name,
+            "source_sha256": self.digest_of(sample.path),
             "recipe": self.recipe.name,
             "recipe_sha256": self.digest,
             "seed": self.seed,
@@ -182,6 +209,8 @@ class Work:
             own = namesakes[path.stem]
             if other := next(filter(_is_sound, own[: own.index(path)]), None):
                 raise InputError(f"{path}: {other} has the same name, which outputs would share")
+            if len(os.fsencode(f"{path.stem}_{self.count - 1:03d}.clean.png")) > MOST_NAME:
+                raise InputError(f"{path}: its name is too long for those of its results; shorten it")
             return read_image(path)
         except InputError as error:
             outcome.failed.append((str(path), str(error)))
@@ -220,46 +249,72 @@ def degrade_files(
         count: versions of each image; version j of input i has the index start + i * count + j.
         seed: of the root key.
         start: index of the first version.
-        resume: leave out the samples that a run with the same arguments has written.
+        resume: leave out the samples that a run with the same arguments has written, where neither they nor
+            their photograph have changed since.
         tick: called with (done, total).
 
     Returns:
         What was done; inputs that cannot be read are listed in `failed` and the rest goes on.
 
     Raises:
-        InputError: no input, a recipe for other domains, the folder cannot be written, or another
-            process writes into it.
+        InputError: no input, a recipe for other domains, the folder cannot be written, or has a dataset.toml
+            that no run wrote, or another process writes into it.
     """
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
+    about = tomli_w.dumps({"camera": f"{_CAMERA}{recipe.name}", "clean_encoding": "srgb"})
+    check_new(out / "dataset.toml", about, _is_ours)
     with locked(out):
 
         def done(sample: Sample) -> bool:
-            return resume and _is_written(out, sample, work.note(sample))
+            return resume and is_written(out, sample, work.note(sample))
 
         for degraded in work.run(range(len(work)), outcome, done):
+            try:
+                for end in _ENDS:
+                    check_output(out / f"{degraded.sample.stem}{end}", work.inputs_real)
+            except InputError as error:
+                outcome.failed.append((str(degraded.sample.path), str(error)))
+                continue
             _write(out, degraded)
             outcome.images += 1
             tick(outcome.images + outcome.kept, len(work))
         if outcome.images or outcome.kept:
-            about = {"camera": f"jaxisp {recipe.name}", "clean_encoding": "srgb"}
-            write_text(out / "dataset.toml", tomli_w.dumps(about))
+            write_new(out / "dataset.toml", about, _is_ours)
     outcome.seconds = time.perf_counter() - clock
     return outcome
 
 
-def _write(out: Path, degraded: Degraded) -> None:
-    """The three files; the TOML file is the last, so where it stands the sample is whole."""
-    stem = degraded.sample.stem
-    (out / f"{stem}.toml").unlink(missing_ok=True)  # of a run before this one
-    write_png(out / f"{stem}.clean.png", degraded.clean)
-    write_png(out / f"{stem}.noisy.png", degraded.noisy)
-    degraded.drawn.save(out / f"{stem}.toml")
+_CAMERA = "jaxisp "
+_ENDS = (".clean.png", ".noisy.png", ".toml")
 
 
-def _is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
+def _is_ours(text: str) -> bool:
+    """Whether a dataset.toml says what this module writes, of any recipe."""
     try:
-        written = Recipe.load(out / f"{sample.stem}.toml").meta.get("sample")
+        table = parse_toml(text, "dataset.toml")
     except InputError:
         return False
-    return written == note and all((out / f"{sample.stem}.{k}.png").is_file() for k in ("clean", "noisy"))
+    return table.keys() == {"camera", "clean_encoding"} and str(table["camera"]).startswith(_CAMERA)
+
+
+def _write(out: Path, degraded: Degraded) -> None:
+    """The three files; the TOML file is the last, so where it stands the sample is whole."""
+    stem, digests = degraded.sample.stem, {}
+    (out / f"{stem}.toml").unlink(missing_ok=True)  # of a run before this one
+    for kind in ("clean", "noisy"):
+        write_png(out / f"{stem}.{kind}.png", getattr(degraded, kind))
+        digests[kind] = digest_of(out / f"{stem}.{kind}.png")
+    told = dataclasses.replace(degraded.drawn, meta={**degraded.drawn.meta, "sha256": digests})
+    write_text(out / f"{stem}.toml", sealed_toml(told.to_toml()))
+
+
+def is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
+    """Whether a sample's three files are, to the bit, what was written for the same arguments."""
+    path = out / f"{sample.stem}.toml"
+    try:
+        meta = parse_toml(read_sealed(path), str(path))["meta"]
+    except InputError:
+        return False
+    pictures = meta["sha256"].items()
+    return meta["sample"] == note and all(is_file_of(out / f"{sample.stem}.{k}.png", d) for k, d in pictures)

@@ -1,11 +1,7 @@
-"""What a fitter minimises: robust distances between images, and masks of the pixels that count."""
+"""A robust distance, and masks of the pixels that count."""
 
 import jax
 import jax.numpy as jnp
-
-from jaxisp.arrays.planes import planes
-from jaxisp.arrays.safe_math import safe_divide
-from jaxisp.color import rgb_to_ycbcr_planes
 
 
 def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:
@@ -16,40 +12,6 @@ def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:
     Source: Charbonnier, Blanc-Feraud, Aubert & Barlaud 1994.
     """
     return x**2 / (jnp.sqrt(x**2 + epsilon**2) + epsilon)  # the same, without cancellation near 0
-
-
-def luma_chroma_loss(
-    a: jax.Array,
-    b: jax.Array,
-    mask: jax.Array | None = None,
-    chroma_weight: float | jax.Array = 0.5,
-    epsilon: float | jax.Array = 1e-3,
-) -> jax.Array:
-    """Mean Charbonnier distance of luma, plus `chroma_weight` times that of the two chroma planes.
-
-    Args:
-        a: (H, W, 3), display-encoded.
-        b: like `a`.
-        mask: (H, W), the weight of each pixel (or True where it counts); all of them if None.
-        chroma_weight: what an error of chroma counts against one of luma.
-        epsilon: below this difference the distance is quadratic.
-
-    Returns:
-        A scalar; 0 where no pixel counts.
-
-    Raises:
-        ValueError: not two (H, W, 3) images of one shape.
-
-    Gradient: exact.
-    """
-    if a.shape != b.shape or a.ndim != 3 or a.shape[-1] != 3:
-        raise ValueError(f"luma_chroma_loss: expected two (H, W, 3) images, got {a.shape} and {b.shape}")
-    y, cb, cr = (charbonnier(d, epsilon) for d in rgb_to_ycbcr_planes(*planes(a - b)))
-    distance = y + chroma_weight * (cb + cr)
-    if mask is None:
-        return distance.mean()
-    weight = mask.astype(distance.dtype)
-    return safe_divide((weight * distance).sum(), weight.sum())
 
 
 def border_mask(shape: tuple[int, ...], border: int) -> jax.Array:

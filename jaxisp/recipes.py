@@ -6,8 +6,8 @@ Where the two disagree (noise), the code's ranges have a recipe of their own, `p
 Work is done in linear light, as there; what goes in and comes out is encoded sRGB.
 """
 
+import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from jaxisp.errors import InputError
@@ -132,7 +132,7 @@ def find_recipe(name: str) -> Recipe:
     """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none."""
     if name in RECIPES:
         return RECIPES[name]()
-    if not name.endswith(".toml") and not Path(name).is_file():
+    if not name.endswith(".toml") and not os.path.lexists(name):
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
 

@@ -125,5 +125,5 @@ figure.tight_layout()
 # `found.save(DIR)` writes the whole as a page and as JSON; `jaxisp diagnose PAIRS -o DIR` does the same
 # from the command line.
 #
-# In earnest, write the stage with its docstring as in [the notebook on stages](03_your_own_stage.py), so
-# that the contract tests accept it.
+# For real use, write the stage with its docstring as in [the notebook on stages](03_your_own_stage.py), so
+# that `jaxisp.testing.check_stage` accepts it.

@@ -2,9 +2,10 @@
 
 import gc
 import os
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
+
+from tests.programs import kept_programs
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 if os.environ.get("JAXISP_TESTS_QUICK"):
@@ -17,12 +18,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # what one worker or one command compiles, the others load; xdist's workers inherit it
-    PROGRAMS = tempfile.TemporaryDirectory(prefix="jaxisp-tests-", ignore_cleanup_errors=True)
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept_programs())  # xdist's workers inherit it
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # a plain call compiles each operation
 
 import jax
 import numpy as np
@@ -62,16 +61,3 @@ def x64():
     """Run the test in double precision."""
     with jax.enable_x64(True):
         yield
-
-
-def smooth_image(shape: tuple[int, ...], seed: int = 0, low: float = 0.02, high: float = 0.98) -> np.ndarray:
-    """A float64 picture of waves, an edge and some texture in [low, high]."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    out = np.zeros(shape)
-    for c in range(shape[2] if len(shape) == 3 else 1):
-        fy, fx, phase = *rng.uniform(0.05, 0.3, 2), rng.uniform(0, 6)
-        plane = 0.5 + 0.3 * np.sin(fy * y + phase) * np.cos(fx * x) + 0.15 * (x > shape[1] / 2)
-        plane += 0.03 * rng.standard_normal(shape[:2])
-        out[(..., c) if len(shape) == 3 else ...] = plane
-    return np.clip(out, low, high)

@@ -15,6 +15,7 @@ from jaxisp.priors import Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene, write_pairs
+from tests.io.samples import dng, mosaic
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,39 @@ def test_exposure_takes_the_highlights_to_white(raw):
     np.testing.assert_allclose(develop(dim).mean((0, 1)), develop(raw).mean((0, 1)), atol=0.01)
     black = dataclasses.replace(raw, mosaic=np.zeros_like(raw.mosaic))
     assert params_for(standard_camera(), black)["exposure"].exposure_ev == 5
+
+
+def test_the_baseline_exposure_is_a_gain_in_linear_light(raw):
+    """What brings highlights to white is at least that of the file; none is taken back."""
+    light = np.full_like(raw.mosaic, 0.4)
+    light[::4] = 1  # so that there is nothing to brighten
+    full = dataclasses.replace(raw, mosaic=light, white_balance=np.ones(3))
+
+    def exposure(ev):
+        own = dataclasses.replace(full, baseline_exposure=ev)
+        return float(params_for(standard_camera(), own)["exposure"].exposure_ev)
+
+    assert [exposure(ev) for ev in (0.0, 1.0, 2.5, -1.0)] == [0, 1, 2.5, 0]
+    flat = dataclasses.replace(full, camera_to_srgb=np.eye(3))
+    camera = standard_camera("demosaic_bilinear")
+    once, twice = (develop(dataclasses.replace(flat, baseline_exposure=ev), camera) for ev in (0.0, 1.0))
+    np.testing.assert_allclose(linear(twice)[2::4], 2 * linear(once)[2::4], rtol=0.02)
+    dim = dataclasses.replace(full, mosaic=full.mosaic / 4)
+    dim = dataclasses.replace(dim, baseline_exposure=1.0)
+    assert params_for(standard_camera(), dim)["exposure"].exposure_ev == pytest.approx(2)
+
+
+def test_pixels_that_are_not_square_are_made_so(raw, tmp_path):
+    """DefaultScale states the width first; twice as wide, each pair of columns has the mean of one before."""
+    scale = [(50718, 5, 2, (2, 1, 1, 1))]
+    read = read_raw(dng(tmp_path / "a.dng", mosaic(64, 96), orientation=6, extra_tags=scale))
+    assert read.scale == (1, 2) and read.notes == ()
+    picture = develop(read)
+    assert picture.shape == (192, 64, 3)
+    plain = develop(dataclasses.replace(read, scale=(1.0, 1.0)))
+    middle = picture.reshape(96, 2, 64, 3).mean(1)[4:-4]
+    np.testing.assert_allclose(middle.mean(), plain[4:-4].mean(), atol=2e-3)
+    assert np.corrcoef(middle.ravel(), plain[4:-4].ravel())[0, 1] > 0.99
 
 
 def test_the_picture_is_turned_upright(raw):

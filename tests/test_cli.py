@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 
 from jaxisp.cli import main
-from jaxisp.io import open_dataset
+from jaxisp.io import WarpRectilinear, open_dataset
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
+from tests.io.samples import dng
 from tests.mounts import mounted
 
 
@@ -29,6 +30,31 @@ def run(capsys, *arguments):
     status = main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     return status, out, err
+
+
+def test_develop_tells_what_a_file_states_that_is_not_applied(capsys, tmp_path):
+    lens = WarpRectilinear(np.eye(1, 6), (0.5, 0.5))
+    path = dng(
+        tmp_path / "a.dng",
+        opcodes_3=[lens],
+        extra_tags=[(50717, 4, 1, 0), (51125, 5, 4, (0, 1, 0, 1, 1, 2, 1, 1))],
+    )
+    status, out, err = run(capsys, "develop", path, "-o", tmp_path / "a.png")
+    assert status == 0 and len(err.splitlines()) == 3
+    assert all(line.startswith(f"jaxisp: {path}: its ") for line in err.splitlines())
+    for words in ("WhiteLevel of 0", "OpcodeList3 has WarpRectilinear", "DefaultUserCrop"):
+        assert words in err
+    status, out, _ = run(capsys, "develop", path, "-o", tmp_path / "a.png", "--json")
+    assert len(json.loads(out)["notes"]) == 3
+
+
+def test_develop_quad_bayer(capsys, tmp_path):
+    cell = bytes([0, 0, 1, 1] * 2 + [1, 1, 2, 2] * 2)
+    path = dng(tmp_path / "a.dng", extra_tags=[(33421, 3, 2, (4, 4)), (33422, 1, 16, cell)], black=(64,))
+    for option, size in (((), (35, 26)), (("--remosaic",), (70, 52))):
+        status, out, err = run(capsys, "develop", path, "-o", tmp_path / "a.png", "--json", *option)
+        found = json.loads(out)
+        assert (status, found["width"], found["height"]) == (0, *size) and "2 x 2 pixels" in err
 
 
 def test_stages(capsys):
@@ -197,7 +223,7 @@ def test_a_full_disk_is_one_line(capsys, photographs, tmp_path, monkeypatch):
     def no_space(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "replace", no_space)
+    monkeypatch.setattr(files.os, "fsync", no_space)
     status, _, err = run(capsys, "degrade", photographs, "-o", tmp_path / "o", "--recipe", "awgn")
     assert status == 2 and "no space left" in err and err.count("\n") == 1
     assert not list((tmp_path / "o").glob("*"))

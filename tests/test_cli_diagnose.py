@@ -34,7 +34,7 @@ def test_a_disk_that_fills_at_the_end_does_not_cost_the_answer(found, tmp_path, 
     def no_space(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "replace", no_space)
+    monkeypatch.setattr(files.os, "fsync", no_space)
     assert main(["diagnose", "set", "-o", str(tmp_path / "out"), *form]) == 2
     out, err = capsys.readouterr()
     assert json.loads(out) == REPORT if form else out.startswith("verdict: effect; gap 17.6 -> 4.2")
@@ -53,8 +53,8 @@ def test_a_stopped_diagnosis_is_one_line_and_leaves_nothing(tmp_path, capsys, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr(jaxisp.gap, "diagnose", stopped)
-    assert main(["diagnose", "set", "-o", str(tmp_path / "new" / "out"), "--json"]) == 1
-    assert capsys.readouterr() == ("", "jaxisp: stopped; what was written is whole\n")
+    assert main(["diagnose", "set", "-o", str(tmp_path / "new" / "out"), "--json"]) == 130
+    assert capsys.readouterr() == ("", "jaxisp: interrupted; files already written are complete\n")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -21,7 +21,7 @@ from jaxisp.recipes import RECIPES
 from jaxisp.samples import scene, scene_names
 from jaxisp.stages import STAGES
 from jaxisp.stages.denoise.grid_blur import _gaussian
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 

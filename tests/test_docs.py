@@ -9,14 +9,19 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import jaxisp
-from experiments.withheld.tables import collected
-from experiments.withheld_targets import located, targets
+from benchmarks import accelerator_report, report, stages_report, training
+from experiments import evaluation, raw_noise, readme_table, real_data, real_gap_tables
+from experiments.denoisers import report as denoisers
+from experiments.fit_phones import __main__ as fit_phones
 from jaxisp.gap import EFFECTS
 from jaxisp.recipes import RECIPES
 from jaxisp.stages import STAGES
@@ -150,43 +155,107 @@ def test_notebooks_are_pages(site):
         assert f"<h1>{title}<" in page.read_text()
 
 
-def test_the_readmes_figures_are_those_measured():
+def read(name: str) -> Any:
+    return json.loads((ROOT / name).read_text())
+
+
+def test_the_tables_of_the_evaluation_are_made_from_their_results():
+    page = (ROOT / "docs/diagnosis-evaluation.md").read_text()
+    parts = evaluation.tables(ROOT / "docs/results")
+    assert {name for name in parts if f"<!-- generated: {name} -->" in page} == set(parts)
+    assert evaluation.rendered(page, parts) == page, "python -m experiments.evaluation"
+
+
+def test_the_table_of_the_readme_is_made_from_the_results():
+    page = (ROOT / "README.md").read_text()
+    assert evaluation.rendered(page, {"results": readme_table.made(ROOT)}) == page, (
+        "python -m experiments.readme_table"
+    )
+
+
+PAGES: dict[str, Callable[[Path], Any]] = {
+    "performance": lambda page: report.write_performance(page, ROOT / "benchmarks/results/peers.json"),
+    "performance-xeon": lambda page: report.write_performance(
+        page, ROOT / "benchmarks/results/xeon/peers.json"
+    ),
+    "exactness": lambda page: report.write_exactness(page, ROOT / "benchmarks/results/exactness.json"),
+    "stages": lambda page: stages_report.write_stages(page, ROOT / "benchmarks/results/stages.json"),
+    "gpu-stages": lambda page: accelerator_report.write_accelerator(
+        page, ROOT / "benchmarks/results/h200/accelerator.json"
+    ),
+    "training": lambda page: page.write_text(training.markdown(read("benchmarks/results/training.json"))),
+    "denoisers": lambda page: page.write_text(
+        denoisers.document(read("docs/results/denoisers.json"), read("docs/results/noise-spectra.json"))
+    ),
+    "fit-phones": lambda page: page.write_text(fit_phones.markdown(read("docs/results/fit-phones.json"))),
+    "raw-noise": lambda page: page.write_text(raw_noise.markdown(read("docs/results/raw-noise.json"))),
+    "real-data": lambda page: page.write_text(real_data.markdown(read("docs/results/real-data.json"))),
+    "real-gap": lambda page: page.write_text(real_gap_tables.markdown(read("docs/results/real-gap.json"))),
+}
+"""The pages of docs/results that are made from JSON alone."""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_pages_of_results_are_made_from_their_results(name: str, tmp_path: Path):
+    PAGES[name](tmp_path / "page.md")
+    assert (tmp_path / "page.md").read_text() == (ROOT / f"docs/results/{name}.md").read_text()
+
+
+MARKDOWN = [
+    path
+    for pattern in ("*.md", "docs/**/*.md", "benchmarks/**/*.md", "experiments/**/*.md")
+    for path in sorted(ROOT.glob(pattern))
+    if "_build" not in path.parts
+]
+
+
+@pytest.mark.parametrize("path", MARKDOWN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_and_paths_lead_somewhere(path: Path):
+    """Relative links, and files of the repository that are named in code marks."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+    # notes that become part of a page link from there
+    folder = ROOT / "docs/results" if path.is_relative_to(ROOT / "benchmarks") else path.parent
+    for link in re.findall(r"\]\(([^)#\s]+)", text):
+        if not re.match(r"[a-z]+:", link):
+            built_from = re.fullmatch(r"(?:.*tutorials/)?(\d\d-[\w-]+)\.md", link)
+            notebook = ROOT / f"notebooks/{built_from[1].replace('-', '_')}.py" if built_from else None
+            assert (folder / link).exists() or (notebook and notebook.exists()), link
+    for named in re.findall(r"`((?:jaxisp|tests|experiments|benchmarks|docs|notebooks)/[\w./-]+)`", text):
+        placeholder = re.search(r"[A-Z]{3,}|_build", named)
+        assert placeholder or (ROOT / named).exists(), named
+
+
+def test_pages_that_the_package_names_are_there():
+    for path in (ROOT / "jaxisp").rglob("*.py"):
+        for named in re.findall(r"\b(?:docs|experiments|benchmarks)/[\w/-]+\.\w+", path.read_text()):
+            assert (ROOT / named).exists(), f"{path.relative_to(ROOT)}: {named}"
+
+
+def python_blocks() -> list[Any]:
+    """Every block of Python in the pages that stands alone: it imports all that it uses."""
+    found = []
+    for path in MARKDOWN:
+        for k, code in enumerate(
+            re.findall(r"^```python\n(.*?)^```", path.read_text(), re.DOTALL | re.MULTILINE)
+        ):
+            found.append(pytest.param(code, id=f"{path.relative_to(ROOT)}-{k}"))
+    return found
+
+
+@pytest.mark.parametrize("code", python_blocks())
+def test_python_in_the_pages_names_what_is_there(code: str):
+    """It compiles, and what it imports of the package exists."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxisp"):
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}"), alias.name
+
+
+def test_the_readmes_example_runs():
     text = (ROOT / "README.md").read_text()
-    found = json.loads((ROOT / "docs/results/real-data.json").read_text())
-    assert " and ".join(f"{raw['psnr_levels_matched']:.1f}" for raw in found["develop"]) + " dB" in text
-    (pair,) = found["fit"]["pairs"]
-    quality = f"{pair['held_out_psnr']:.1f} dB, SSIM {pair['held_out_ssim']:.3f}"
-    assert f"{quality}, in {found['fit']['seconds']:.0f} s" in text
-    assert f"{found['degrade']['seconds']:.0f} s, compilation" in text
-
-
-def test_what_the_diagnosis_reaches_is_what_the_results_say():
-    """The table of docs/results/targets.md, from the files that it names; in the guide and in the README."""
-    page = (ROOT / "docs/results/targets.md").read_text()
-    command = next(
-        line for line in page.splitlines() if line.startswith("python -m experiments.withheld_targets")
-    )
-    results, _, located_in = command.partition(" --axes ")
-    files, axes = (re.findall(r"docs/results/\S+\.json", part) for part in (results, located_in))
-    records, again = (collected(ROOT / name for name in names)[0] for names in (files, axes))
-    found = targets(located(records, again))
-    assert found in page and found.strip() in (ROOT / "docs/diagnosis.md").read_text()
-    rows = {row.split(" | ")[0]: row.split(" | ") for row in found.splitlines()}
-    first = rows["| right effect first"]
-    told = " ".join((ROOT / "README.md").read_text().split())
-    unknown, axis, both = (
-        [re.search(r"\((\d+)/(\d+)\)", rows[name][column]).groups() for column in (1, 3)]
-        for name in (
-            '| outside the vocabulary: "unknown"',
-            "| outside the vocabulary: right axis in the first three",
-            "| two effects, either alone twice the floor: both found",
-        )
-    )
-    said = (
-        "{} of {} and, in clean+noisy pairs, {} of {} are called unknown, and {} and {} are put on the right"
-    )
-    assert said.format(*unknown[0], *unknown[1], axis[0][0], axis[1][0]) in told
-    assert "found in {} of {} (RAW+JPEG) and {} of {} (clean+noisy)".format(*both[0], *both[1]) in told
-    for cell, where in ((first[1], "RAW+JPEG pairs"), (first[3], "clean+noisy pairs")):
-        share, hits, total = re.fullmatch(r"(\d+)% \[.*\] \((\d+)/(\d+)\)", cell).groups()
-        assert re.search(rf"{share} % (are named first )?in {re.escape(where)} \({hits} of {total}\)", told)
+    (code,) = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    names: dict[str, Any] = {}
+    exec(code.replace("size=(32, 80, 80, 3)", "size=(2, 16, 16, 3)"), names)
+    assert names["noisy"].shape == (2, 16, 16, 3)
+    np.testing.assert_array_equal(names["again"], names["noisy"])

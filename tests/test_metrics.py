@@ -7,7 +7,7 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from jaxisp.metrics import match_moments, psnr, ssim, ssim_map
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SKIMAGE = {
     "gaussian": {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False},

@@ -13,7 +13,7 @@ from jaxisp.explore import MOST, Explorer, Pictures, explore_stages, for_screen,
 from jaxisp.params import specs
 from jaxisp.pipeline import signature
 from jaxisp.stages import STAGES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 NAMES = sorted(p.stem for p in FOLDER.glob("*.py"))

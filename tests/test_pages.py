@@ -12,8 +12,8 @@ from jaxisp.gap.report.page import write_report as write_diagnosis
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.report import Page
+from jaxisp.testing import smooth_image
 from tests.browser import CHROMIUM, Browser
-from tests.conftest import smooth_image
 from tests.gap.page import PICTURES, REPORT
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")

@@ -25,7 +25,7 @@ from jaxisp.pipeline import (
     stage,
 )
 from jaxisp.stages.detail import UnsharpMask, unsharp_mask
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 @parameters

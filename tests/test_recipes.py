@@ -13,7 +13,7 @@ from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import LAST_INDEX, Recipe, _degrade, check_photographs, check_traces
 from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 KEY = jax.random.key(5)
 IMAGES = np.stack([smooth_image((24, 32, 3), i) for i in range(8)]).astype(np.float32)

@@ -12,7 +12,7 @@ from jaxisp.domains import RGB
 from jaxisp.params import map_specs
 from jaxisp.pipeline import REGISTRY, Chain, Gate, Shuffle, register, run, run_in_strips, stage
 from jaxisp.stages import STAGES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},
@@ -26,6 +26,7 @@ OPTIONS = {
     "demosaic_ahd": {"delta": [1, 3], "median_passes": [0, 1], "variant": ["paper", "libraw"]},
     "demosaic_menon": {"refining": [True, False]},
     "jpeg": {"subsampling": ["4:2:0", "4:4:4"], "row_phase": [0, 5]},
+    "jpeg_file": {"subsampling": ["4:2:0"], "components": ["YCbCr", "RGB"], "converts": [True, False]},
     "jpeg_photoshop": {"subsampling": ["auto", "4:2:0"]},
     "jpeg_tables": {"subsampling": ["4:2:0"], "column_phase": [0, 11]},
     "median": {"footprint": ["cross", "5x5"], "iterations": [1, 3]},
@@ -83,6 +84,14 @@ def beyond(node):
 def test_a_stage_looks_no_farther_than_its_reach(node):
     """All that is out of a pixel's reach is replaced by noise: the pixel keeps its bits."""
     assert not beyond(node)
+
+
+def test_every_option_that_may_change_a_reach_is_tried():
+    """Where a stage gets an option, try it above, or say here that it does not matter."""
+    without = {"cfa", "chroma_bins", "chroma_cell", "luma", "chroma", "row_phase", "column_phase"}
+    for node in FAR:
+        tried = {*OPTIONS.get(node.name, {}), *SMALL.get(node.name, {})}
+        assert set(node.options) - without <= tried, node.name
 
 
 def test_a_wrong_reach_fails():

@@ -18,7 +18,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 KEY = jax.random.key(0)
 IMAGES = np.stack([smooth_image((16, 18, 3), i) for i in range(2)]).astype(np.float32)

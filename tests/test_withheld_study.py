@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments import null_drops
+from experiments.evaluation import collect, located, slim, targets
 from experiments.withheld import effects
 from experiments.withheld.camera import KINDS
 from experiments.withheld.study import (
@@ -23,7 +24,6 @@ from experiments.withheld.study import (
     true_closure,
 )
 from experiments.withheld.tables import markdown, wilson
-from experiments.withheld_targets import located, targets
 from jaxisp.gap.case import NULL_DROP
 from jaxisp.gap.search import verdict
 
@@ -188,7 +188,7 @@ def test_tables_count_what_was_said() -> None:
     switched = [record(n, report("none"), "libraw") for n in ("plain", "vng", "medians")]
     switched += [record("ppg", report("unknown"), "libraw")]
     text = markdown([*deleted, *switched])
-    for said in ("unknown", "another of its group", "a stranger"):
+    for said in ("unknown", "another of its group", "an effect of another group"):
         assert f"| {said} | 33% " in text
     assert "| vng | demosaicking or none | (none) 1 | 100% " in text
     assert "| ppg | demosaicking or none | (unknown) 1 | 0% " in text
@@ -238,15 +238,37 @@ def test_what_must_be_reached_stands_beside_what_was() -> None:
     assert "RAW+JPEG, sealed" in lines[0] and "clean+noisy, develop" in lines[0]
     first, _, other, _ = found["right effect first"]
     assert first == "67% [21%, 94%] (2/3)" and other == "– (0)"
-    assert found["closed, of what the effect made, median"][0] == "0.79 (2)"
-    assert found["how far off the refit is, median"][0] == "0.20 (2)"
-    assert found["what the effect made is in the 90 % interval"][0].endswith(" (1/2)")
-    assert found['what a base takes up: absorbed or "none"'][0].endswith(" (1/1)")
-    assert found['outside the vocabulary: "unknown"'][0].endswith(" (1/1)")
-    assert found["named where nothing is missing"][0].endswith(" (0/2)")
-    assert found['named or "unknown" where nothing is missing'][0].endswith(" (1/2)")
-    both = found["two effects, either alone twice the floor: both found"]
+    assert found["closed over the true share, median"][0] == "0.79 (2)"
+    assert found["error of the refitted share, median"][0] == "0.20 (2)"
+    assert found["true share inside the 90 % interval"][0].endswith(" (1/2)")
+    assert found['effects a base absorbs: absorbed or "none"'][0].endswith(" (1/1)")
+    assert found['out of the library: "unknown"'][0].endswith(" (1/1)")
+    assert found["nulls: an effect named"][0].endswith(" (0/2)")
+    assert found['nulls: an effect named, or "unknown"'][0].endswith(" (1/2)")
+    both = found["two effects, each alone twice the floor: both found"]
     assert both[0].endswith(" (1/1)") and both[2] == "– (0)", "nobody looked at either alone"
+    every = [*sealed, *pairs, *alone, *nulls, *strangers]
+    assert targets(list(map(slim, every))).splitlines() == lines, "what is kept is what the tables need"
+
+
+def test_collected_results_take_the_last_of_a_case(tmp_path: Path) -> None:
+    def file(name: str, **record: object) -> Path:
+        path = tmp_path / name
+        case = {"case": "a", "kind": "raw+jpeg", "split": "nulls", "body": "elm", "effects": [["nothing", 1]]}
+        case |= {"scenes": "one", "standing": [], "seconds": 1.0, **kept(report("none")), **record}
+        path.write_text(json.dumps({"commands": [name], "cases": {"a": case}}))
+        return path
+
+    old, new, axes = file("old", seconds=2.0), file("new", seconds=3.0), file("axes", where=["edge"])
+    sizes = file("nulls", gap={"before": 1.0, "floor": 1.0, "axes": {"row": 0.123456789}})
+    collect({"main": [old, new], "nulls": [sizes]}, [axes], tmp_path / "out.json")
+    found = json.loads((tmp_path / "out.json").read_text())
+    case = found["main"]["cases"]["a"]
+    assert case["seconds"] == 3.0 and case["where"] == ["edge"]
+    assert found["main"]["commands"] == ["old", "new", "axes"] and found["grey"]["cases"] == {}
+    assert found["nulls"]["cases"]["a"]["gap"]["axes"] == {"row": 0.123456789}, (
+        "the null bank is made from it"
+    )
 
 
 def test_axes_of_a_later_version_replace_those_of_their_cases_alone() -> None:

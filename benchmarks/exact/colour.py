@@ -13,7 +13,7 @@ from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages import STAGES
 from jaxisp.stages.auto import AutoExposure, AutoLevel, GrayWorld, WhitePatch
 from jaxisp.stages.balance import HueRotation, Saturation, WhiteBalanceTemperature
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.stages import test_spaces as spaces
 from tests.stages import test_transfer as transfer
 from tests.stages.test_balance import exact_rgb, ycbcr

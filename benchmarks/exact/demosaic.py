@@ -12,7 +12,7 @@ import rawpy
 
 from benchmarks.exact.row import Row, largest
 from jaxisp.cfa import PATTERNS
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.stages.test_demosaic import (
     PEERS,
     ahd_by_arrays,

@@ -14,7 +14,7 @@ from benchmarks.exact.row import Row, largest
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.stages.denoise.wavelet import core_plane
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.stages.test_denoise_bilateral import naive
 from tests.stages.test_denoise_median import FOOTPRINTS
 

@@ -11,7 +11,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from benchmarks.exact.row import Row, largest
 from jaxisp.metrics import psnr, ssim
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.test_metrics import SKIMAGE
 
 REFERENCE = f"scikit-image {skimage.__version__}"

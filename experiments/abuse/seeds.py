@@ -2,7 +2,9 @@
 
 import dataclasses
 import io
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -71,7 +73,37 @@ def _raws(folder: Path) -> list[Seed]:
     for name, options in (("plain", {}), ("rich", rich), ("preview", {"preview": encode_jpeg(_pixels())})):
         path = write_dng(folder / f"{name}.dng", _mosaic(), **common, **options)
         found += [Seed("raw", ".dng", path.read_bytes()), Seed("raw", ".nef", path.read_bytes())]
+    found.append(Seed("raw", ".dng", _stated(folder, common)))
     return [*found, Seed("raw", ".dng", _lossless(folder)), Seed("opcodes", "", pack_opcodes([gains, *lens]))]
+
+
+def _stated(folder: Path, common: dict[str, Any]) -> bytes:
+    """A DNG of quad Bayer that states as much as one can: three lights, interleaved rows, maps of colours."""
+    thousandths = [
+        tuple(v for m in (_MATRIX + 0.1 * i).ravel() for v in (int(1e3 * m), 1000)) for i in range(3)
+    ]
+    light = struct.pack("<H4I", 0, 4476, 10000, 4075, 10000)
+    spectrum = struct.pack("<HI10I", 1, 3, 400, 1, 150, 1, 1, 2, 2, 2, 3, 2)
+    tags = [
+        (33421, 3, 2, (4, 4)), (33422, 1, 16, bytes([0, 0, 1, 1] * 2 + [1, 1, 2, 2] * 2)),
+        *((code, 10, 9, m) for code, m in zip((50721, 50722, 52531), thousandths)),
+        (50965, 10, 9, thousandths[0]), (50723, 10, 9, thousandths[1]),
+        (50931, 2, 0, "ours"), (50932, 2, 0, "ours"),
+        (50778, 3, 1, 255), (50779, 3, 1, 21), (52529, 3, 1, 255),
+        (52533, 7, len(light), light), (52535, 7, len(spectrum), spectrum),
+        (50715, 10, 38, (1, 2) * 38), (50716, 10, 26, (-1, 2) * 26), (50975, 4, 1, 2), (52547, 4, 1, 2),
+        (50718, 5, 2, (2, 1, 1, 1)), (50712, 3, 1024, tuple(range(1024))), (50730, 10, 1, (1, 2)),
+    ]  # fmt: skip
+    maps = [GainMap(np.full((2, 2, 3), 1.5), (0, 0, 26, 38), planes=3)]
+    path = write_dng(
+        folder / "stated.dng",
+        _mosaic(),
+        **common | {"black": (64,)},
+        opcodes_3=maps,
+        extra_tags=tags,
+        iso=102400,
+    )
+    return path.read_bytes()
 
 
 def _lossless(folder: Path) -> bytes:

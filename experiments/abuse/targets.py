@@ -19,7 +19,7 @@ from jaxisp.train import TrainConfig
 def _raw(path: Path) -> None:
     raw = read_raw(path)
     _finite(raw.mosaic, raw.black, raw.white_balance, raw.white)
-    if raw.gain_map is not None:
+    if raw.shading is not None:
         _finite(raw.shading)
     embedded_jpeg(path)
 

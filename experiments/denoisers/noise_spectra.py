@@ -7,21 +7,20 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
+from experiments.denoisers import report
 from experiments.denoisers.ceilings import in_camera_tone
 from experiments.denoisers.pairs import REAL, as_pair, evaluation_set
+from experiments.denoisers.report import TILE, WIDE
 from experiments.denoisers.training import Place, pictures, recipe_named
 from jaxisp.io import read_image
 from jaxisp.train import AlignedPair
 
 RECIPES = ("awgn", "phone", "phone-no-denoise", "phone-any")
-TILE = 32  # px
 FLAT = 0.25  # share of the tiles that counts as flat
-WIDE = 12  # px, the wavelength from which noise counts as wide
 SIDE, COUNT = 192, 24
 BT601 = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])  # JFIF
 
@@ -88,27 +87,6 @@ def simulated(place: Place, name: str) -> list[AlignedPair]:
     return [as_pair(str(i), np.asarray(n), c) for i, (n, c) in enumerate(zip(noisy, clean))]
 
 
-def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    lines = [
-        "# Noise on flat areas",
-        "",
-        "`python -m experiments.denoisers.noise_spectra DATA --work RUNS`",
-        "",
-        f"Noisy minus clean in the camera's tone, encoded, on the flattest quarter of tiles of {TILE}x{TILE}",
-        "without their plane. Correlation between neighbours, across and down; wide is the share of power in",
-        f"wavelengths of {WIDE} px and more; chroma is the mean power of Cb and Cr over luma's. `iphone8 01`",
-        "and the like are single crops.",
-        "",
-        "| pictures | luma std [8 bit] | lag 1 | lag 2 | wide luma | chroma / luma | wide chroma |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for row in rows:
-        cells = [f"{row['std']:.1f}", *(f"{row[k]:.2f}" for k in ("lag1", "lag2", "wide_luma"))]
-        cells += [f"{row['chroma']:.3f}", f"{row['wide']:.2f}"]
-        lines.append(f"| {row['pictures']} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
@@ -124,7 +102,7 @@ def main() -> None:
         for name, pairs in sets.items()
     ]
     (options.out / "noise-spectra.json").write_text(json.dumps(rows, indent=1) + "\n")
-    (options.out / "noise-spectra.md").write_text(markdown(rows))
+    report.write(options.out)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""docs/results/denoisers.md from denoisers.json."""
+"""docs/results/denoisers.md from denoisers.json and noise-spectra.json."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,28 +9,61 @@ import numpy as np
 
 FINDINGS = Path(__file__).with_name("findings.md")
 """What the tables show, in words."""
+TILE = 32  # px
+WIDE = 12  # px, the wavelength from which noise counts as wide
 NOTE = """## How to read the figures
 
-PSNR [dB] and SSIM (Gaussian window) in linear light. The clean picture is aligned first (translation and
-scale, sub-pixel) and given the mean and standard deviation of what it is compared with, per channel, as
-in Jaroensri et al. 2019. After +-: the standard deviation over seeds. `change` is the PSNR of a network's
-output against its input, encoded: high where it does nothing. All networks of a table share
-configuration, clean patches and their order; they differ in the recipe alone. Nothing was chosen by its
+PSNR [dB] and SSIM (Gaussian window) are taken in linear light. The clean picture is aligned first
+(translation and scale, sub-pixel). It is then given the mean and standard deviation of the other picture, per
+channel, as in Jaroensri et al. 2019. After +- stands the standard deviation over seeds. `change` is the PSNR
+of a network's output against its input, encoded: high where the network does nothing. All networks of a table
+share configuration, clean patches and their order. They differ only in the recipe. Nothing was chosen by its
 figures on iphone8.
 
-Sets: `iphone8`, five crops of 200x200, a phone's JPEG against the mean of a RAW burst; `polyu`, nine
-JPEGs of full-frame cameras against means of 500 (middle 512x512); `sidd`, six phone crops before a
-phone's own processing (middle 512x512 at most); `cameras`, three simulated cameras that share no code
-with the package (own demosaicking, denoising, sharpening, tone and JPEG) on three pictures that no
-network has seen; `raw`, those pictures with sensor noise (Poisson factor 0.01, read 0.05) and Kodak
-demosaicking alone.
+| set | pictures |
+| --- | --- |
+| `iphone8` | five crops of 200x200: a phone's JPEG against the mean of a RAW burst |
+| `polyu` | nine JPEGs of full-frame cameras against means of 500 (middle 512x512) |
+| `sidd` | six phone crops before a phone's own processing (middle 512x512 at most) |
+| `cameras` | three simulated cameras of other code than the package, on pictures no network has seen |
+| `raw` | those pictures with sensor noise (Poisson factor 0.01, read 0.05) and Kodak demosaicking alone |
 """
 
 
-def document(tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """The whole page."""
+def document(tables: Mapping[str, Mapping[str, Any]], spectra: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The whole page: findings, tables, and the noise on flat areas where it was measured."""
     parts = ["# Denoisers trained on simulated cameras", "", FINDINGS.read_text(), NOTE]
-    return "\n".join([*parts, *(table_text(tables[key]) for key in sorted(tables, key=_order))])
+    parts += [table_text(tables[key]) for key in sorted(tables, key=_order)]
+    return "\n".join(parts + ([spectra_text(spectra)] if spectra else []))
+
+
+def write(folder: Path) -> None:
+    """Write the page from the JSON in its folder."""
+    found = [folder / f"{name}.json" for name in ("denoisers", "noise-spectra")]
+    tables, spectra = (json.loads(path.read_text()) if path.exists() else {} for path in found)
+    (folder / "denoisers.md").write_text(document(tables, spectra))
+
+
+def spectra_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What `noise_spectra` found."""
+    lines = [
+        "## Noise on flat areas",
+        "",
+        "`python -m experiments.denoisers.noise_spectra DATA --work RUNS`",
+        "",
+        "Noisy minus clean in the camera's tone, encoded, without the plane of each tile. The flattest",
+        f"quarter of tiles of {TILE}x{TILE} counts. Lags are correlations between neighbours, across and",
+        f"down. Wide is the share of power in wavelengths of {WIDE} px and more. Chroma is the mean power of",
+        "Cb and Cr over that of luma. `iphone8 01` and the like are single crops.",
+        "",
+        "| pictures | luma std [8 bit] | lag 1 | lag 2 | wide luma | chroma / luma | wide chroma |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        cells = [f"{row['std']:.1f}", *(f"{row[k]:.2f}" for k in ("lag1", "lag2", "wide_luma"))]
+        cells += [f"{row['chroma']:.3f}", f"{row['wide']:.2f}"]
+        lines.append(f"| {row['pictures']} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
 
 
 _ORDER = ("noise_models", "ablations", "demosaicking", "sanity", "raw_input")

@@ -186,7 +186,7 @@ def save(folder: Path, name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     }
     folder.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(tables, indent=1) + "\n")
-    (folder / "denoisers.md").write_text(report.document(tables))
+    report.write(folder)
     return tables[name]
 
 

@@ -62,9 +62,9 @@ def markdown(results: dict[str, Any]) -> str:
     lines = [
         "# Fitted phones",
         "",
-        f"Made by `python -m experiments.fit_phones DATA`, seed {SEED}. Held out: a checkerboard of 64x64 "
-        "tiles, half fitted, half reported; no pixel of a reported tile is in any loss, but the filters of a "
-        "fitted tile look up to 16 px into its neighbours' RAW, and the alignment starts from the whole "
+        f"Made by `python -m experiments.fit_phones DATA`, seed {SEED}. A checkerboard of 64x64 tiles is "
+        "held out: half are fitted, half reported. No pixel of a reported tile is in any loss. The filters "
+        "of a fitted tile look up to 16 px into its neighbours' RAW. The alignment starts from the whole "
         "picture.",
         "",
     ]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from experiments.fit_phones.common import SEED, Cases, Run, changed, fitted, noise_table, short
-from jaxisp.fit.sharing import FIXED_NAMES
 from jaxisp.samples import PHONES, phone, scene, write_pairs
 
 
@@ -28,7 +27,7 @@ def by_intensity(fixed: tuple[str, ...]) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as folder, changed(phone._LUMA_FILTERS, "bilateral", smooths):
         write_pairs(folder, body, {"coffee": scene("coffee", 384)}, SEED)
-        result = fitted("-".join(["intensity", *fixed]), folder, fixed=(*FIXED_NAMES, *fixed))
+        result = fitted("-".join(["intensity", *fixed]), folder, fixed=fixed)
     gamma = float(result.camera.prior["bilateral"].guide_gamma)
     return {"guide_gamma": gamma, "noise": result.pairs[0].noise, **short(result)}
 

@@ -1,6 +1,6 @@
 """Run a diagnosis on many withheld cases and keep what it said.
 
-    python -m experiments.withheld.study --kind raw+jpeg --split develop --out docs/results/gap-develop.json
+    python -m experiments.withheld.study --kind raw+jpeg --split develop --out RESULTS.json
 
 A run that was broken off goes on where it stopped. `tables` turns the file into Markdown.
 """

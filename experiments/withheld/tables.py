@@ -1,6 +1,6 @@
 """Turn what `study` found into Markdown.
 
-    python -m experiments.withheld.tables docs/results/withheld.json -o docs/results/withheld.md
+    python -m experiments.withheld.tables RESULTS.json -o RESULTS.md
 
 Several files may be given; a case in more than one of them counts as the last has it.
 """
@@ -37,7 +37,7 @@ study="python -m experiments.withheld.study --out {results}"
 python -m experiments.withheld.tables {results} -o {page}
 ```
 
-The nulls that are skipped set the thresholds ([how](../diagnosis.md)). A command that was stopped goes on.
+Skipped nulls set the thresholds. An interrupted command continues where it was.
 """
 
 
@@ -143,17 +143,21 @@ def power(records: list[Record]) -> str:
     return "### Right effect first, by strength\n\n" + table(["effect", *map(str, levels)], rows)
 
 
-def by_gap(records: list[Record]) -> str:
+def by_gap_rows(records: Sequence[Record]) -> list[list[object]]:
     """What is said of gaps of each size, of effects that no baseline takes up."""
-    rows = []
+    rows: list[list[object]] = []
     for low, high in pairwise(GAPS):
         those = [r for r in records if low <= r["gap"]["before"] / r["gap"]["floor"] < high]
         said = Counter("right" if first_right(r) else "wrong" if named(r) else r["verdict"] for r in those)
         size = f"{low} to {high}" if high < inf else f"{low} and more"
         others = [said[verdict] for verdict in ("unknown", "none")]
         rows.append([size, share(those, first_right), said["wrong"], *others])
+    return rows
+
+
+def by_gap(records: list[Record]) -> str:
     head = ["gap, in floors", "right effect first", "another first", "unknown", "none"]
-    return "### Right effect first, by the size of the gap\n\n" + table(head, rows)
+    return "### Right effect first, by the size of the gap\n\n" + table(head, by_gap_rows(records))
 
 
 def confusion(records: list[Record]) -> str:
@@ -298,19 +302,23 @@ def with_each(records: Sequence[Record]) -> list[Record]:
     ]
 
 
-def deleted_section(records: list[Record]) -> str:
-    """What is said where the true effect is not among those tried."""
+def deleted_rates() -> dict[str, Callable[[Record], bool]]:
+    """What may be said where the true effect is not among those tried."""
 
     def stood_in(record: Record) -> bool:
         name, first = truth(record)[0], (named(record) or [""])[0]
         return any({name, first} <= group for group in GROUPS)
 
-    rates: dict[str, Callable[[Record], bool]] = {
+    return {
         "unknown": lambda r: r["verdict"] == "unknown",
         "another of its group": stood_in,
         "none": lambda r: not named(r) and r["verdict"] != "unknown",
-        "a stranger": lambda r: bool(named(r)) and not stood_in(r),
+        "an effect of another group": lambda r: bool(named(r)) and not stood_in(r),
     }
+
+
+def deleted_section(records: list[Record]) -> str:
+    rates = deleted_rates()
     seen = [r for r in records if plain_to_see(r)]
     rows = [[name, share(records, hit), share(seen, hit)] for name, hit in rates.items()]
     head = ["said", "all strengths", "gap at least twice the floor"]

@@ -1,13 +1,17 @@
 """The command line: parse, call, print. JAX is imported by the commands that compute, not for --help."""
 
 import argparse
+import io
+import os
+import signal
 import sys
 from collections.abc import Sequence
 
 from jaxisp import __version__
 from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
-from jaxisp.cli.common import Parser
+from jaxisp.cli.common import Parser, warn
 from jaxisp.errors import InputError
+from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
 
 _MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
@@ -26,17 +30,32 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command. Returns 0 (done), 2 (the call or its input is unusable) or 1 (it broke)."""
+    """Run a command.
+
+    Returns:
+        0 (done), 2 (the call or its input is unusable), 1 (it broke), 130 (Ctrl-C) or 143 (SIGTERM).
+    """
+    if argv is None:  # the process is ours; another program that calls this has its own settings
+        signals.watch()
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
+    signals.allow()
     arguments = parser().parse_args(argv)
     try:
-        if argv is None:  # the process is ours; another program that calls this has its own settings
+        if argv is None:
             keep_compiled()
         return int(arguments.run(arguments))
     except InputError as error:
-        print(f"jaxisp: {' '.join(str(error).split())}", file=sys.stderr)
+        warn(str(error))
         return 2
-    except KeyboardInterrupt:
-        print("jaxisp: stopped; what was written is whole", file=sys.stderr)
-        return 1
+    except KeyboardInterrupt as stop:
+        signals.tell()
+        return signals.status_of(getattr(stop, "number", signal.SIGINT))
     except BrokenPipeError:
         return 1
+    except OSError as error:
+        if error.filename is None or signals.came():
+            raise
+        warn(f"{os.fsdecode(error.filename)}: cannot be used: {(error.strerror or str(error)).lower()}")
+        return 2

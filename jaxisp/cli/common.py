@@ -8,12 +8,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
+from jaxisp.errors import printable
+
 
 class Parser(argparse.ArgumentParser):
     """Mistakes in a call are told in one line, with what may have been meant."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help") + "\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuses what it does not know here, where the options of the command are known."""
@@ -30,7 +32,7 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """A subcommand with the options that all have."""
     command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
-    command.add_argument("--seed", type=seed, default=0, help="seed of all that is random (default 0)")
+    command.add_argument("--seed", type=seed, default=0, help="random seed (default 0)")
     if prints:
         command.add_argument("--json", action="store_true", help="print JSON and nothing else")
     command.set_defaults(run=run)
@@ -58,6 +60,16 @@ def seed(text: str) -> int:
     return value
 
 
+def say(text: Any = "") -> None:
+    """A line on standard output; all that is printed for people goes through this, `warn` or a table."""
+    print(printable(str(text)))
+
+
+def warn(text: str) -> None:
+    """A line on standard error."""
+    print(f"jaxisp: {' '.join(printable(text).split())}", file=sys.stderr)
+
+
 def print_json(value: Any) -> None:
     print(json.dumps(value, allow_nan=False))
 
@@ -66,10 +78,11 @@ def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     """A table on standard output, as wide as it needs to be."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text  # in which brackets are brackets
 
     table = Table(*headers, box=None, pad_edge=False)
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*(Text(printable(str(cell))) for cell in row))
     Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
@@ -77,7 +90,7 @@ def report_failures(failed: Iterable[tuple[str, str]]) -> int:
     """List inputs that could not be used on standard error, a line each; the exit status."""
     reasons = [reason for _, reason in failed]
     for reason in reasons:
-        print(f"jaxisp: {' '.join(reason.split())}", file=sys.stderr)
+        warn(reason)
     return 2 if reasons else 0
 
 
@@ -87,11 +100,12 @@ def progress(label: str) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    described = TextColumn("{task.description}", markup=False)
+    columns = (described, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task(label, total=None)
 
         def tick(done: int, total: int, text: str = "") -> None:
-            bar.update(task, completed=done, total=total, description=f"{label} {text}".strip())
+            bar.update(task, completed=done, total=total, description=printable(f"{label} {text}".strip()))
 
         yield tick

@@ -1,10 +1,9 @@
 """`jaxisp data`: public data sets."""
 
-import sys
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, progress
+from jaxisp.cli.common import add_command, print_json, progress, say, warn
 
 
 def add_commands(commands: Any) -> None:
@@ -13,8 +12,8 @@ def add_commands(commands: Any) -> None:
         metavar="list|fetch", required=True
     )
     add_command(inner, "list", run_list, "list the sets with licence, size and source")
-    command = add_command(inner, "fetch", run_fetch, "download a set; JAXISP_DATA names where to")
-    command.add_argument("name", metavar="NAME", help="as jaxisp data list shows it")
+    command = add_command(inner, "fetch", run_fetch, "download a set (JAXISP_DATA changes the folder)")
+    command.add_argument("name", metavar="NAME", help="a name from jaxisp data list")
 
 
 def run_list(arguments: Namespace) -> int:
@@ -25,10 +24,10 @@ def run_list(arguments: Namespace) -> int:
         print_json(sets)
         return 0
     for s in sets:
-        print(f"{s['name']}: {s['title']}")
-        print(f"    for {s['use']}; {s['size']}; licence: {s['licence']}; {_state(s)}")
-        print(f"    {s['page']}")
-    print(f"folder: {data_folder()} (JAXISP_DATA changes that)")
+        say(f"{s['name']}: {s['title']}")
+        say(f"    for {s['use']}; {s['size']}; licence: {s['licence']}; {_state(s)}")
+        say(f"    {s['page']}")
+    say(f"folder: {data_folder()} (JAXISP_DATA changes that)")
     return 0
 
 
@@ -40,11 +39,11 @@ def run_fetch(arguments: Namespace) -> int:
     from jaxisp.data.catalogue import fetch, find_set
 
     wanted = find_set(arguments.name)
-    print(f"jaxisp: {wanted.title}; licence: {wanted.licence} ({wanted.page})", file=sys.stderr)
+    warn(f"{wanted.title}; licence: {wanted.licence} ({wanted.page})")
     with progress(f"fetching {wanted.name}") as tick:
         folder = fetch(wanted, tick=tick)
     if arguments.json:
         print_json({**wanted.as_dict(), "folder": str(folder)})
     else:
-        print(folder)
+        say(folder)
     return 0

@@ -3,14 +3,14 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
 from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "degrade", run, "make noisy training images out of clean ones")
     command.add_argument("inputs", nargs="+", metavar="IN", help="clean images, or folders of them")
-    command.add_argument("-o", "--out", required=True, metavar="DIR", help="a data set is written here")
+    command.add_argument("-o", "--out", required=True, metavar="DIR", help="output folder, a data set")
     command.add_argument(
         "--recipe", required=True, metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file"
     )
@@ -21,19 +21,19 @@ def add_commands(commands: Any) -> None:
         "--start", type=int, default=0, metavar="I", help="index of the first sample (default 0)"
     )
     command.add_argument(
-        "--resume", action="store_true", help="keep the samples that the same command has written"
+        "--resume", action="store_true", help="keep samples already written by the same command"
     )
     command.add_argument(
         "--shards", type=positive, metavar="N", help="write N array-record files instead of pictures"
     )
     command.add_argument(
-        "--shard", metavar="I", help="with --shards: only these, from 0, as 3, 0-7 or 0,4,8-11"
+        "--shard", metavar="I", help="with --shards: write only these, counted from 0: 3, 0-7 or 0,4,8-11"
     )
 
 
 def run(arguments: Namespace) -> int:
     if arguments.shard is not None and not arguments.shards:
-        raise InputError("--shard needs --shards, which says how many there are in all")
+        raise InputError("--shard needs --shards N, the number of all shards")
     from jaxisp.recipes import find_recipe
 
     with progress("degrading") as tick:
@@ -43,8 +43,8 @@ def run(arguments: Namespace) -> int:
         print_json(result)
     else:
         rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
-        kept = f", {done.kept} were there" if done.kept else ""
-        print(f"{done.images} images in {rate}{kept} -> {arguments.out}")
+        kept = f", {done.kept} kept" if done.kept else ""
+        say(f"{done.images} images in {rate}{kept} -> {arguments.out}")
     return report_failures(done.failed)
 
 

@@ -3,14 +3,14 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, progress
+from jaxisp.cli.common import add_command, print_json, progress, say
 
 
 def add_commands(commands: Any) -> None:
     command = add_command(
         commands, "demo", run, "pairs, fit, degrade, train, diagnose, on data that comes with the package"
     )
-    command.add_argument("--out", default="demo", metavar="DIR", help="default ./demo")
+    command.add_argument("--out", default="demo", metavar="DIR", help="output folder (default ./demo)")
 
 
 def run(arguments: Namespace) -> int:
@@ -21,5 +21,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json(result)
     else:
-        print(f"{result['report']}: open it in a browser ({result['seconds']:.0f} s)")
+        say(f"{result['report']}: open it in a browser ({result['seconds']:.0f} s)")
     return 0

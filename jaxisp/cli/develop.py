@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say, warn
 
 
 def add_commands(commands: Any) -> None:
@@ -11,7 +11,10 @@ def add_commands(commands: Any) -> None:
     command.add_argument("raw", metavar="RAW", help="a Bayer RAW that LibRaw opens, or NAME.raw.npy")
     command.add_argument("-o", "--out", required=True, metavar="OUT.png")
     command.add_argument(
-        "--camera", metavar="CAMERA.toml", help="as jaxisp fit writes it; a plain one unless given"
+        "--camera", metavar="CAMERA.toml", help="a camera written by jaxisp fit (default: a plain one)"
+    )
+    command.add_argument(
+        "--remosaic", action="store_true", help="render quad Bayer at full size (default: bin each filter)"
     )
 
 
@@ -21,19 +24,24 @@ def run(arguments: Namespace) -> int:
     from jaxisp.camera import develop
     from jaxisp.errors import InputError
     from jaxisp.io import read_raw, write_png
+    from jaxisp.io.files import check_output, real_paths
     from jaxisp.recipe import Recipe, check_traces
 
     if not arguments.out.lower().endswith(".png"):
         raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
+    check_output(arguments.out, real_paths([arguments.raw]))
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     if camera:
         check_traces(camera)
-    raw = read_raw(arguments.raw)
+    raw = read_raw(arguments.raw, quad="remosaic" if arguments.remosaic else "bin")
+    for note in raw.notes:
+        warn(f"{raw.path}: {note}")
     picture = develop(raw, camera, jax.random.key(arguments.seed))
     write_png(arguments.out, picture)
     height, width = picture.shape[:2]
     if arguments.json:
-        print_json({"image": arguments.out, "width": width, "height": height, "cfa": raw.cfa})
+        size = {"width": width, "height": height}
+        print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": list(raw.notes)})
     else:
-        print(f"{arguments.out}: {width} x {height}, {raw.cfa}")
+        say(f"{arguments.out}: {width} x {height}, {raw.cfa}")
     return 0

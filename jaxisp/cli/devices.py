@@ -19,12 +19,12 @@ def add_devices(command: Any, parts: str) -> None:
     command.add_argument("--cpu-devices", type=positive, metavar="N", help=f"on a CPU, {parts}")
     command.add_argument(
         "--coordinator", metavar="HOST:PORT",
-        help="work with several processes that meet here; auto: as Slurm, MPI or Kubernetes says",
+        help="address where several processes meet; auto: taken from Slurm, MPI or Kubernetes",
     )  # fmt: skip
     command.add_argument(
-        "--processes", type=positive, metavar="N", help="how many; with --coordinator HOST:PORT"
+        "--processes", type=positive, metavar="N", help="number of processes, with --coordinator HOST:PORT"
     )
-    command.add_argument("--process-id", type=int, metavar="I", help="which this one is, from 0")
+    command.add_argument("--process-id", type=int, metavar="I", help="rank of this process, from 0")
 
 
 def use_cores(count: int | None = None) -> None:

@@ -1,39 +1,58 @@
 """`jaxisp diagnose`: where the gap between a simulated and a real camera lies, and which effect causes it."""
 
-import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import (
+    add_command,
+    names,
+    positive,
+    print_json,
+    print_table,
+    progress,
+    report_failures,
+    say,
+    warn,
+)
 
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "diagnose", run, "name the effects that a simulated camera lacks")
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG or clean+noisy pairs")
-    command.add_argument("-o", "--out", required=True, metavar="DIR", help="for report.json and report.html")
     command.add_argument(
-        "--camera", metavar="CAMERA.toml", help="the simulator, mosaic to picture; a plain one is fitted else"
+        "-o", "--out", required=True, metavar="DIR", help="output folder for report.json and report.html"
+    )
+    command.add_argument(
+        "--camera", metavar="CAMERA.toml", help="a fitted camera as the simulator (default: fit a plain one)"
     )
     command.add_argument(
         "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
     )
     command.add_argument(
-        "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects that are not tried"
+        "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects to leave out"
     )
     command.add_argument(
         "--downstream",
         action="store_true",
-        help="train small denoisers without and with the effects found, measured on held-out pairs",
+        help="train small denoisers with and without the effects found; measure them on held-out pairs",
     )
-    command.add_argument("--downstream-steps", type=positive, default=500, metavar="N", help="of each (500)")
+    command.add_argument(
+        "--downstream-steps",
+        type=positive,
+        default=500,
+        metavar="N",
+        help="training steps of each denoiser (default 500)",
+    )
 
 
 def run(arguments: Namespace) -> int:
     from jaxisp.gap.report.page import plain
-    from jaxisp.io import filled_folder
+    from jaxisp.io import filled_folder, output_file
 
     with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
+        for name in ("report.json", "report.html"):
+            output_file(folder / name)
         found = _diagnosed(arguments, folder)
         _warn(found.report)
         try:
@@ -44,7 +63,7 @@ def run(arguments: Namespace) -> int:
             else:
                 _print(found.report)
     if not arguments.json:
-        print(f"{page} in {found.report['seconds']:.0f} s")
+        say(f"{page} in {found.report['seconds']:.0f} s")
     return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 
@@ -74,9 +93,11 @@ def _warn(report: dict[str, Any]) -> None:
     from jaxisp.gap.report.page import few_pairs
 
     if few_pairs(report):
-        print(f"jaxisp: {few_pairs(report)}", file=sys.stderr)
+        warn(f"{few_pairs(report)}")
     for pair in report["pairs"]["left_out"]:
-        print(f"jaxisp: {pair['name']}: left out: {pair['reason']}", file=sys.stderr)
+        warn(f"{pair['name']}: left out: {pair['reason']}")
+    for pair in report["pairs"].get("encoder_not_modelled", ()):
+        warn(f"{pair['name']}: its JPEG encoder is not modelled: {pair['reason']}")
 
 
 def _print(report: dict[str, Any]) -> None:
@@ -84,30 +105,26 @@ def _print(report: dict[str, Any]) -> None:
 
     gap, left = report["gap"], unexplained(report)
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    _say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
+    say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")
         for c in report["causes"]
     ]  # fmt: skip
     if rows:
-        print_table(("cause", "site", "closes", "90 % interval", "not told from"), rows)
+        print_table(("cause", "site", "closes", "90 % interval", "alternatives"), rows)
     else:
-        _say(sentence(report))
+        say(sentence(report))
     for text in next_measurements(report):
-        _say(text)
+        say(text)
     _print_downstream(report.get("downstream"))
-
-
-def _say(text: str) -> None:
-    print(text.replace("\N{NO-BREAK SPACE}", " "))
 
 
 def _print_downstream(found: dict[str, Any] | None) -> None:
     if found is None:
         return
     if "skipped" in found:
-        print(f"downstream: {found['skipped']}")
+        say(f"downstream: {found['skipped']}")
         return
     rows = [("no denoiser", f"{found['input']['psnr']:.2f}", "", f"{found['input']['ssim']:.4f}")]
     for name, arm in found["arms"].items():

@@ -1,7 +1,6 @@
 """`jaxisp evaluate`: PSNR and SSIM of a trained run on clean+noisy pairs."""
 
 import functools
-import sys
 from argparse import Namespace
 from typing import Any
 
@@ -12,6 +11,8 @@ from jaxisp.cli.common import (
     print_table,
     progress,
     report_failures,
+    say,
+    warn,
 )
 from jaxisp.cli.denoise import add_network_options
 
@@ -20,11 +21,11 @@ def add_commands(commands: Any) -> None:
     command = add_command(commands, "evaluate", run, "PSNR and SSIM of a trained run on clean+noisy pairs")
     command.add_argument("dataset", metavar="DATASET", help="a folder of clean+noisy pairs")
     command.add_argument(
-        "--run", dest="folder", required=True, metavar="RUN", help="as jaxisp train wrote it"
+        "--run", dest="folder", required=True, metavar="RUN", help="a folder written by jaxisp train"
     )
     command.add_argument(
         "--light", choices=("linear", "encoded"), default="linear",
-        help="what is compared: linear light, as in the paper (default), or encoded sRGB",
+        help="compare in linear light, as in the paper (default), or in encoded sRGB",
     )  # fmt: skip
     command.add_argument(
         "--crop", type=positive, metavar="N", help="use the middle N x N px of each picture (default all)"
@@ -44,8 +45,8 @@ def run(arguments: Namespace) -> int:
     failed = result["failed"]
     for pair in result["pairs"]:
         if not pair["aligned"]:
-            told = "where the clean picture lies cannot be told; it was left as it is"
-            print(f"jaxisp: {pair['name']}: {told}", file=sys.stderr)
+            told = "the position of the clean picture is unclear; it was not aligned"
+            warn(f"{pair['name']}: {told}")
     if arguments.json:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]
         print_json({**result, "model": config.model, "failed": reasons})
@@ -58,5 +59,5 @@ def run(arguments: Namespace) -> int:
             for r in rows
         ],
     )
-    print(f"{result['light']} light; {result['aligned']}; {result['normalised']}")
+    say(f"{result['light']} light; {result['aligned']}; {result['normalised']}")
     return report_failures(failed)

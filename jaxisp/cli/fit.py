@@ -1,13 +1,22 @@
 """`jaxisp fit`: a camera from RAW+JPEG pairs."""
 
-import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, names, positive, print_json, print_table, progress, report_failures
+from jaxisp.cli.common import (
+    add_command,
+    names,
+    positive,
+    print_json,
+    print_table,
+    progress,
+    report_failures,
+    say,
+    warn,
+)
 from jaxisp.cli.devices import add_devices, join, use_cores
 
 
@@ -19,28 +28,28 @@ def add_commands(commands: Any) -> None:
         "--report", metavar="DIR", help="write DIR/report.html, with pictures before and after"
     )
     command.add_argument(
-        "--steps", type=positive, default=30, help="most Gauss-Newton steps of each phase (default 30)"
+        "--steps", type=positive, default=30, help="most Gauss-Newton steps in each phase (default 30)"
     )
     command.add_argument(
-        "--demosaic", default="auto", metavar="STAGE", help="default auto: the one that fits best"
+        "--demosaic", default="auto", metavar="STAGE", help="demosaicking stage (default auto: the best fit)"
     )
     command.add_argument(
         "--median", default="auto", metavar="SIZE", help="none, cross, 3x3, 5x5 or auto (default auto)"
     )
     command.add_argument(
-        "--starts", type=positive, default=1, help="settings to start from; the best is taken (default 1)"
+        "--starts", type=positive, default=1, help="starting points; the best fit is kept (default 1)"
     )
     command.add_argument(
         "--per-image",
         type=names,
         default=[],
         metavar="NAMES",
-        help="parameters that each image has of its own, by commas: stages, stage.field, tone, colour",
+        help="comma-separated parameters to fit for each image: stages, stage.field, tone, colour",
     )
     command.add_argument(
-        "--recipe", metavar="OUT.toml", help="also write a recipe for `jaxisp degrade` that draws this camera"
+        "--recipe", metavar="OUT.toml", help="also write a recipe of this camera for `jaxisp degrade`"
     )
-    add_devices(command, "spread the tiles over N parts of it (default: one, with a thread a core)")
+    add_devices(command, "split it into N devices for the tiles (default: one device, a thread per core)")
 
 
 def run(arguments: Namespace) -> int:
@@ -49,10 +58,13 @@ def run(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.fit import prior_from_cameras
-    from jaxisp.fit.journal import beside
+    from jaxisp.fit.journal import beside, in_the_way
     from jaxisp.fit.report import write_report
 
     join(arguments)
+    journal = beside(arguments.out)
+    if blocked := in_the_way(journal):
+        warn(f"{blocked}")
     with _places(arguments):
         result = _fitted(arguments)
         if jax.process_index():  # the first writes for all
@@ -62,10 +74,11 @@ def run(arguments: Namespace) -> int:
             prior_from_cameras([result.camera]).save(arguments.recipe)
         if arguments.report:
             write_report(result, arguments.report)
-    beside(arguments.out).unlink(missing_ok=True)
+    if not blocked:
+        journal.unlink(missing_ok=True)
     for pair in result.pairs:
         for note in pair.notes:
-            print(f"jaxisp: {pair.name}: {note}", file=sys.stderr)
+            warn(f"{pair.name}: {note}")
     if arguments.json:
         print_json({"camera": arguments.out, **result.as_dict()})
     else:
@@ -77,13 +90,15 @@ def run(arguments: Namespace) -> int:
 def _places(arguments: Namespace) -> Iterator[None]:
     """Where results go is tried first: a fault there should not cost a fit."""
     from jaxisp.io import filled_folder, output_file
+    from jaxisp.io.files import filled_file
 
     with ExitStack() as stack:
-        for path in filter(None, (arguments.out, arguments.recipe)):
-            stack.enter_context(filled_folder(Path(path).parent))
-            output_file(path)
+        settings = Path(arguments.dataset, "dataset.toml")
+        stack.enter_context(filled_file(arguments.out, [settings]))
+        if arguments.recipe:
+            stack.enter_context(filled_file(arguments.recipe, [settings, arguments.out]))
         if arguments.report:
-            stack.enter_context(filled_folder(arguments.report))
+            output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
         yield
 
 
@@ -123,8 +138,8 @@ def _print(result: Any, out: str) -> None:
         for p in result.pairs
     ]  # fmt: skip
     print_table(("pair", "PSNR fitted", "SSIM", "PSNR held out", "SSIM", "shift [px]"), rows)
-    print(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
+    say(f"{out} in {result.seconds:.0f} s: {result.design}; held out: {result.how}")
     if result.unidentified:
-        print(f"not identified by these pairs: {', '.join(result.unidentified)}")
+        say(f"not identified by these pairs: {', '.join(result.unidentified)}")
     if result.at_bound:
-        print(f"at a bound: {', '.join(result.at_bound)}")
+        say(f"at a bound: {', '.join(result.at_bound)}")

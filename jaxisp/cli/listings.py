@@ -1,9 +1,9 @@
-"""`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: what there is."""
+"""`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: listings."""
 
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, print_table
+from jaxisp.cli.common import add_command, print_json, print_table, say
 from jaxisp.errors import InputError, meant
 
 
@@ -12,7 +12,7 @@ def add_commands(commands: Any) -> None:
         commands, "stages", run_stages, "list the stages with their parameters, bounds and units"
     )
     stages.add_argument(
-        "names", nargs="*", metavar="STAGE", help="tell all of these: options, gradient, source"
+        "names", nargs="*", metavar="STAGE", help="show options, gradient and source of these stages"
     )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
     add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
@@ -39,7 +39,7 @@ def run_stages(arguments: Namespace) -> int:
         )
     ]
     print_table(("stage", "parameter", "default", "bounds", "unit", "scale"), rows)
-    print(f"{len(stages)} stages, {sum(len(s['params']) for s in stages)} parameters")
+    say(f"{len(stages)} stages, {sum(len(s['params']) for s in stages)} parameters")
     return 0
 
 
@@ -51,19 +51,19 @@ def _named(stages: list[dict[str, Any]], name: str) -> dict[str, Any]:
 
 
 def _print_stage(found: dict[str, Any]) -> None:
-    print(f"{found['name']}: {found['summary']}")
-    print(f"  {found['takes']} -> {found['gives']}{', random' if found['stochastic'] else ''}")
+    say(f"{found['name']}: {found['summary']}")
+    say(f"  {found['takes']} -> {found['gives']}{', random' if found['stochastic'] else ''}")
     for title in ("gradient", "source"):
-        print(f"  {title}: {' '.join(found[title].split())}")
+        say(f"  {title}: {' '.join(found[title].split())}")
     for option in found["static"]:
-        print(f"  option {option['name']}, default {option['default']!r}")
+        say(f"  option {option['name']}, default {option['default']!r}")
     rows = [
         (f"  {p['name']}", p["default"], p["bounds"], p["unit"], p["scale"], p["doc"])
         for p in found["params"]
     ]
     if rows:
         print_table(("  parameter", "default", "bounds", "unit", "scale", ""), rows)
-    print()
+    say()
 
 
 def run_effects(arguments: Namespace) -> int:
@@ -77,7 +77,7 @@ def run_effects(arguments: Namespace) -> int:
         (e["name"], e["site"], " ".join(e["shows_in"]), " ".join(e["axes"]), " ".join(e["alternatives"]))
         for e in effects
     ]
-    print_table(("effect", "site", "shows in", "axes", "easily taken for"), rows)
+    print_table(("effect", "site", "shows in", "axes", "easily confused with"), rows)
     return 0
 
 
@@ -89,9 +89,9 @@ def run_recipes(arguments: Namespace) -> int:
         print_json(recipes)
         return 0
     for recipe in recipes:
-        print(f"{recipe['name']}: {recipe['description']}")
+        say(f"{recipe['name']}: {recipe['description']}")
         drawn = [(f"  {name}", what) for name, what in recipe["draws"].items()]
         if drawn:
             print_table(("  parameter", "drawn from"), drawn)
-        print()
+        say()
     return 0

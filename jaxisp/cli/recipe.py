@@ -1,10 +1,10 @@
-"""`jaxisp recipe`: fitted cameras become what training data are drawn from."""
+"""`jaxisp recipe`: a recipe for training data out of fitted cameras."""
 
 from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json
+from jaxisp.cli.common import add_command, print_json, say
 
 
 def add_commands(commands: Any) -> None:
@@ -13,16 +13,16 @@ def add_commands(commands: Any) -> None:
         "cameras",
         nargs="+",
         metavar="CAMERA.toml",
-        help="as jaxisp fit wrote them; demosaicker, median and order are the first one's",
+        help="cameras written by jaxisp fit; demosaicker, median and order come from the first",
     )
-    command.add_argument("-o", "--out", required=True, metavar="OUT.toml", help="for --recipe elsewhere")
+    command.add_argument("-o", "--out", required=True, metavar="OUT.toml", help="the recipe to write")
     command.add_argument(
         "--spread", type=_factor, default=1.25, metavar="F",
         help="widen the range that the cameras span by this factor (default 1.25)",
     )  # fmt: skip
     command.add_argument(
         "--noise-spread", type=_factor, default=4.0, metavar="F",
-        help="the same for the variance of the noise, which goes with the ISO number (default 4)",
+        help="the same for the noise variance, which varies with ISO (default 4)",
     )  # fmt: skip
 
 
@@ -35,7 +35,9 @@ def _factor(text: str) -> float:
 
 def run(arguments: Namespace) -> int:
     from jaxisp.fit import prior_from_cameras
+    from jaxisp.io.files import check_output, real_paths
 
+    check_output(arguments.out, real_paths(arguments.cameras))
     recipe = prior_from_cameras(
         arguments.cameras,
         spread=arguments.spread,
@@ -46,5 +48,5 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         print_json({"recipe": arguments.out, "cameras": arguments.cameras})
     else:
-        print(f"{arguments.out}: {recipe.description}")
+        say(f"{arguments.out}: {recipe.description}")
     return 0

@@ -1,18 +1,20 @@
 """`jaxisp train`: a denoiser, on pairs degraded on the fly."""
 
 import os
-from argparse import Namespace
+import signal
+from argparse import ArgumentTypeError, Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures
+from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
 from jaxisp.cli.devices import add_devices, join, use_cores
 from jaxisp.errors import InputError
+from jaxisp.process import signals
 
 _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--steps", positive, "updates (default 5000)"),
     ("--batch", positive, "patches in a step (default 32)"),
-    ("--patch", positive, "their side in px (default 80)"),
-    ("--downsample", positive, "photographs are made smaller by this first (default 4)"),
+    ("--patch", positive, "side of a patch in px (default 80)"),
+    ("--downsample", positive, "factor by which photographs are first made smaller (default 4)"),
     ("--per-image", positive, "patches of a photograph in an epoch (default 5)"),
     ("--held-out", int, "photographs for validation (default one in ten)"),
     ("--validation", positive, "validation patches (default 64)"),
@@ -21,10 +23,10 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--warmup", int, "steps of linear warm-up (default 100)"),
     ("--optimizer", str, "adam (default) or amsgrad"),
     ("--weight-decay", float, "default 0"),
-    ("--clip-norm", float, "longest gradient, 0 for no limit (default 1)"),
+    ("--clip-norm", float, "largest norm of the gradient, 0 for no limit (default 1)"),
     ("--ema", float, "decay of the averaged weights, 0 for none (default 0.999)"),
     ("--loss", str, "l1 (default), charbonnier, smooth_l1 or l2"),
-    ("--light", str, "what the network sees: encoded (default) or linear"),
+    ("--light", str, "input of the network: encoded (default) or linear"),
     ("--log-every", positive, "steps between lines of the log (default 20)"),
     ("--checkpoint-every", positive, "steps between checkpoints with validation (default 500)"),
     ("--keep", positive, "checkpoints kept besides the best (default 2)"),
@@ -37,17 +39,23 @@ _SETTINGS = (
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "train", run, "train a denoiser on pairs degraded on the fly")
     command.set_defaults(seed=None)
-    command.add_argument("--clean", nargs="+", metavar="DIR", help="clean photographs, also in folders below")
+    command.add_argument(
+        "--clean", nargs="+", metavar="DIR", help="folders of clean photographs, searched recursively"
+    )
     command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
     command.add_argument(
         "--model", metavar="NAME",
         help="unet (default), fast, dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
     )  # fmt: skip
-    command.add_argument("-o", "--out", required=True, metavar="RUN", help="the run is written here")
-    command.add_argument("--resume", action="store_true", help="go on from the run's last checkpoint")
+    command.add_argument("-o", "--out", required=True, metavar="RUN", help="folder of the run")
+    command.add_argument("--resume", action="store_true", help="continue from the last checkpoint of the run")
     command.add_argument(
-        "--stop-status", type=int, default=0, metavar="N",
-        help="exit status where a signal ended it before its last step (default 0), for schedulers",
+        "--stop-status", type=_stop_status, metavar="N",
+        help="exit status if a signal stops the run early (default 130 or 143), for schedulers",
+    )  # fmt: skip
+    command.add_argument(
+        "--grace", type=float, metavar="SECONDS",
+        help="time that a signal leaves for the step and a checkpoint (default 1.2; 60 with --coordinator)",
     )  # fmt: skip
     for flag, kind, text in _OPTIONS:
         command.add_argument(flag, type=kind, help=text)
@@ -56,10 +64,19 @@ def add_commands(commands: Any) -> None:
         help="the same crops each epoch, as in the paper",
     )  # fmt: skip
     command.add_argument("--bf16", action="store_true", default=None, help="compute in bfloat16")
-    add_devices(command, "spread batches over N parts of it (default: one a core, at most 8)")
+    add_devices(command, "split it into N devices for the batches (default: one per core, at most 8)")
+
+
+def _stop_status(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 255:
+        raise ArgumentTypeError(f"{text} is not from 1 to 255: 0 means that it is finished")
+    return value
 
 
 def run(arguments: Namespace) -> int:
+    grace = arguments.grace if arguments.grace is not None else 60 if arguments.coordinator else signals.GRACE
+    signals.allow(grace, arguments.stop_status)
     use_cores(arguments.cpu_devices)
     import dataclasses
 
@@ -89,13 +106,16 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result)
     report_failures(result.skipped)  # a warning each: the run is whole without them
-    return 0 if result.finished else arguments.stop_status
+    if result.finished:
+        return 0
+    signals.tell()
+    return signals.status_of(signals.came() or signal.SIGINT)
 
 
 def _print(result: Any) -> None:
-    state = "done" if result.finished else "stopped; go on with --resume"
+    state = "done" if result.finished else "stopped; continue with --resume"
     rate = f"{result.images_per_second:.0f} images/s on " if result.images_per_second else ""
-    print(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}{result.devices}), {state}")
+    say(f"{result.run}: {result.step} steps in {result.seconds:.0f} s ({rate}{result.devices}), {state}")
     if result.validation:
         found = result.validation
-        print(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")
+        say(f"validation: {found['psnr_in']:.2f} dB in, {found['psnr']:.2f} dB out")

@@ -8,23 +8,20 @@ import dataclasses
 import json
 import os
 import shutil
-import tarfile
 import time
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxisp.data.unpack import unpack
 from jaxisp.errors import InputError
-from jaxisp.io.files import output_folder, write_text, writing
+from jaxisp.io.files import output_folder, read_json, write_text, writing
 from jaxisp.io.locks import locked
 from jaxisp.process.cache import user_cache
 
 SWITCH = "JAXISP_DATA"
 """Environment variable: the folder that holds the sets, one folder each, in place of the user's cache."""
 SOURCE, SUMS = "SOURCE.json", "checksums.json"
-_DAMAGED = (shutil.ReadError, tarfile.TarError, zipfile.BadZipFile, zlib.error, ValueError, EOFError)
 Tick = Callable[[int, int, str], Any]
 
 
@@ -67,7 +64,36 @@ _ETH = "https://data.vision.ee.ethz.ch/cvl"
 _BERKELEY = "https://www2.eecs.berkeley.edu/Research/Projects/CS/vision"
 _POLYU = "https://github.com/csjunxu/PolyU-Real-World-Noisy-Images-Dataset"
 _COMMIT = "e08a1f7a025ccf0abd603cb893c55026f772658b"
+_R0K = "https://r0k.us/graphics/kodak"
 _AUTHORS = f"https://raw.githubusercontent.com/12dmodel/camera_sim/{_COMMIT}/samples"
+
+_KODAK = (
+    "a56e27cbf5f843c048b6af1d6e090760e9c92fadba88b7dee0205918a37523bd",
+    "4f4b74a79237e311d72cad958237b5f7088d8bce1c82305ebefe1a70e3022dfd",
+    "e25ca1ff2f0c0cb5fdfd5f9b0a0bb21ac4c3de3c84a67f35b09a85d3306249db",
+    "e3b946107c5d3441c022f678d0c3caf1e224d81b1604ba840a4f88e562de61aa",
+    "10349e963c5c813d327852f82c1795fa4148d69fedffc4c589bee458e3ac3d53",
+    "363510303b715d4cbc384e1ce227e466b613a09e1b71ae985882bf8e7fbd9b18",
+    "b77d3f006f42414bb242222e0482e750c0fb9e5ee8d4bed2f6f11c5605fe54a4",
+    "ba23983c76b4832ee0e8af0592664756841a16779acd69f792e268fb6d13d6e7",
+    "6a4361c2fc194feb4edaa9f9a4a0620fb9943e460ac7fdf037fb0f6dd6607a7d",
+    "9dfb70f5867c29ff9ed6313683f19b3d867849e40fbc0c4c54a4a89df341cf23",
+    "7936814b58b5387fce2e4e2488b4ec830dadd95fa9520f358ddb30990b50f2b6",
+    "d78c37c2f04f23761ed2367dd77e2db584ddd4c3950833fecf89f199a8126980",
+    "bc34a3ce58dea09dce1704c997171602de90cb34d0c8503a988b77f473d39b08",
+    "55a94550ff18f3246c4074fd32b77b0c74447c26b6ad274d564d999c0450ba6e",
+    "7538cbb80cb9103606c48b806eae57d56c885c7f90b9b3be70a41160f9cbb683",
+    "a89c7268ccd4718ba424a99fc4643c572cf692ca6eae887185ceb4e9f11d2e54",
+    "37afcc89fbdcb76d9518e04b2fc011027e2f4cd14b3b2f83cefd721641a47c5b",
+    "1a9258c365988961d87a0598725b609139c303ad48a5aad6c503c3b1a87849aa",
+    "b7450b264b1b0a411390d8931b112c27905a992520fc90569dc4b920aa32bbdc",
+    "3b46c71e3b92a563820ba32936be8330c586c41f938efd94be938386aae4328a",
+    "ac958597c82073f6bb65129c68f72b651db5b9efd82e11547d07350214bc268b",
+    "1cee58eb1f2d9c7ebb254d208a03c783ce6cf2c4d8c2cf45e235dd23b4ce1b29",
+    "e3111a2fd4da24af15d6459ef9eacfe54106b38e27b4a21821b75c3f5d2d5baf",
+    "1071c68372cc5a01435c2c225a5cf7d4bb803846ec08bb6b3d6721b156d7cb96",
+)
+"""SHA-256 of the 24 pictures, as several programs that fetch them state it."""
 
 SETS = {
     s.name: s
@@ -79,10 +105,10 @@ SETS = {
         ),
         PublicSet(
             "kodak", "Kodak lossless true colour image suite: 24 scans of film, 768x512", "clean",
-            "released by Kodak for unrestricted use", "15 MB", "https://r0k.us/graphics/kodak/",
+            "released by Kodak for unrestricted use", "15 MB", f"{_R0K}/",
             tuple(
-                RemoteFile(f"https://r0k.us/graphics/kodak/kodak/kodim{i:02d}.png", f"kodim{i:02d}.png")
-                for i in range(1, 25)
+                RemoteFile(f"{_R0K}/kodak/kodim{i:02d}.png", f"kodim{i:02d}.png", f"sha256:{digest}")
+                for i, digest in enumerate(_KODAK, 1)
             ),
         ),
         PublicSet(
@@ -94,12 +120,14 @@ SETS = {
         PublicSet(
             "div2k-valid", "DIV2K, validation: 100 photographs of 2K, PNG", "clean", "academic research only",
             "430 MB", "https://data.vision.ee.ethz.ch/cvl/DIV2K/",
-            (RemoteFile(f"{_ETH}/DIV2K/DIV2K_valid_HR.zip", "DIV2K_valid_HR.zip", None, "zip"),),
+            (RemoteFile(f"{_ETH}/DIV2K/DIV2K_valid_HR.zip", "DIV2K_valid_HR.zip",
+                        "sha256:20dd31fd84d777bc1cf5d6b7654a3f569c0aec74458ae094122ad1d0489900fc", "zip"),),
         ),
         PublicSet(
             "bsds300", "Berkeley segmentation data set: 300 JPEGs, 481x321", "clean, compressed once",
             "non-commercial research and education", "22 MB", f"{_BERKELEY}/bsds/",
-            (RemoteFile(f"{_BERKELEY}/bsds/BSDS300-images.tgz", "BSDS300-images.tgz", None, "tar"),),
+            (RemoteFile(f"{_BERKELEY}/grouping/segbench/BSDS300-images.tgz", "BSDS300-images.tgz",
+                        "sha256:a5f7d0e49fe135c75518a3543ced24470156fd69305ae77845dff2a5138652b4", "tar"),),
         ),
         PublicSet(
             "sidd-small", "Smartphone image denoising data set, small, sRGB: 160 pairs, rendered from RAW",
@@ -134,8 +162,10 @@ def data_folder() -> Path:
 
 def is_fetched(name: str) -> bool:
     """Whether the folder of a set is there with something in it."""
-    folder = data_folder() / name
-    return folder.is_dir() and any(folder.iterdir())
+    try:
+        return any((data_folder() / name).iterdir())
+    except OSError:
+        return False
 
 
 def find_set(name: str) -> PublicSet:
@@ -180,7 +210,8 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
             _note(root / SUMS, {f["url"]: f"sha256:{f['sha256']}" for f in found} | _sums(root))
             about = {**dataclasses.asdict(wanted), "files": found, "fetched": time.strftime("%F")}
             _note(partial / SOURCE, about)
-            shutil.rmtree(folder, ignore_errors=True)  # it is empty
+            if os.path.lexists(folder):
+                folder.rmdir()  # it is empty
             partial.replace(folder)
     return folder
 
@@ -208,26 +239,30 @@ def _fetch_file(wanted: PublicSet, file: RemoteFile, partial: Path, tick: Tick) 
 
 
 def _unpack(path: Path, archive: str | None) -> None:
-    """Unpack beside itself; names that lead elsewhere are left out or refused."""
+    """Unpack beside itself; where something is wrong with it, it is removed, so that it is fetched again."""
     if archive is None:
         return
+    unpacked = path.with_name(f".{path.name}.unpacked")
+    shutil.rmtree(unpacked, ignore_errors=True)  # of a call that was killed
     try:
-        if archive == "tar":
-            shutil.unpack_archive(path, path.parent, filter="data")
-        else:
-            shutil.unpack_archive(path, path.parent, "zip")
-    except _DAMAGED as error:
-        path.unlink()  # so that it is fetched again
-        raise InputError(f"{path}: is a damaged archive ({error})") from error
+        unpack(path, archive, unpacked)
+        for found in unpacked.iterdir():
+            place = path.with_name(found.name)
+            if place.is_dir():
+                shutil.rmtree(place)  # of a call that was killed
+            found.replace(place)
+        unpacked.rmdir()
+    except InputError:
+        path.unlink()
+        raise
+    finally:
+        shutil.rmtree(unpacked, ignore_errors=True)
 
 
 def _sums(root: Path) -> dict[str, str]:
-    """Checksums of files fetched before, by URL."""
-    try:
-        table = json.loads((root / SUMS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return {k: v for k, v in table.items() if isinstance(v, str)} if isinstance(table, dict) else {}
+    """Checksums of files fetched before, by URL. InputError where they are damaged."""
+    table = read_json(root / SUMS) if os.path.lexists(root / SUMS) else {}
+    return {k: v for k, v in table.items() if isinstance(v, str)}
 
 
 def _note(path: Path, table: dict[str, Any]) -> None:

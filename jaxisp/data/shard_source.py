@@ -1,8 +1,7 @@
 """Shards read again: samples by position, for grain or for anything that indexes."""
 
-import hashlib
 import io
-import json
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from jaxisp.errors import InputError, one_line
-from jaxisp.io.files import reason
+from jaxisp.io.digests import is_file_of, read_sealed
+from jaxisp.io.files import parse_json, read_json, short
 from jaxisp.recipe import Recipe
 
 MANIFEST = "manifest.json"
-SCHEMA = 1
-"""Of the manifest."""
+SCHEMA = 2
+"""Of the manifest; since 2 it and the shards' notes hold their own digests."""
+MOST_SHARDS = 100_000
 
 
 def shard_name(shard: int, count: int) -> str:
@@ -23,37 +24,46 @@ def shard_name(shard: int, count: int) -> str:
     return f"shard-{shard:05d}-of-{count:05d}"
 
 
+def read_note(out: Path, name: str) -> dict[str, Any] | None:
+    """What stands beside a shard that was written whole; None where it is missing or damaged."""
+    try:
+        note = _read(out / f"{name}.json")
+    except InputError:
+        return None
+    indices = note.get("indices")
+    sound = isinstance(note.get("bytes"), int) and isinstance(note.get("sha256"), str)
+    numbers = isinstance(indices, list) and all(type(i) is int and 0 <= i < 1 << 31 for i in indices)
+    return note if sound and numbers else None
+
+
 def stands(out: Path, name: str) -> bool:
-    """Whether a shard was written whole."""
-    note, path = out / f"{name}.json", out / f"{name}.array_record"
-    if not (note.is_file() and path.is_file()):
-        return False
-    told = _read_json(note)
-    return told.keys() >= {"bytes", "sha256", "indices"} and path.stat().st_size == told["bytes"]
+    """Whether a shard is, to the bit, what was written."""
+    note = read_note(out, name)
+    return note is not None and is_file_of(out / f"{name}.array_record", note["sha256"])
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:
     """manifest.json of a folder of shards. Raises InputError where it is missing or damaged."""
     path = Path(folder) / MANIFEST
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise InputError(
             f"{folder}: holds no {MANIFEST}, expected a folder that jaxisp degrade --shards wrote"
         )
-    manifest = _read_json(path)
-    if manifest.get("schema") != SCHEMA or not isinstance(manifest.get("shards"), int):
-        raise InputError(f"{path}: has schema {manifest.get('schema')!r}, expected {SCHEMA}")
+    manifest = read_json(path)
+    if manifest.get("schema") != SCHEMA:
+        raise InputError(f"{path}: has schema {short(manifest.get('schema'))}, expected {SCHEMA}")
+    manifest = _read(path)
+    if type(manifest.get("shards")) is not int or not 1 <= manifest["shards"] <= MOST_SHARDS:
+        raise InputError(f"{path}: has {short(manifest.get('shards'))} shards, expected 1 to {MOST_SHARDS}")
+    for key, kind in (("recipe", str), ("recipe_sha256", str), ("seed", int)):
+        if not isinstance(manifest.get(key), kind):
+            raise InputError(f"{path}: says no {key}")
     return manifest
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is damaged ({one_line(error)})") from None
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: is damaged (expected a table)")
+def _read(path: Path) -> dict[str, Any]:
+    table = parse_json(read_sealed(path), str(path))
+    del table["digest"]
     return table
 
 
@@ -73,13 +83,18 @@ class ShardSource:
         self.folder, self.manifest = Path(folder), read_manifest(folder)
         count = self.manifest["shards"]
         names = [shard_name(s, count) for s in range(count)]
-        missing = [s for s, name in enumerate(names) if not stands(self.folder, name)]
+        told = {name: note for name in names if (note := read_note(self.folder, name))}
+        missing = [
+            s
+            for s, name in enumerate(names)
+            if name not in told or _size(self.folder, name) != told[name]["bytes"]
+        ]
         if missing:
             some = ",".join(map(str, missing[:8])) + (",..." if len(missing) > 8 else "")
             raise InputError(
                 f"{folder}: {len(missing)} of {count} shards are missing; write them with --shard {some}"
             )
-        notes = [_read_json(self.folder / f"{name}.json") for name in names]
+        notes = [told[name] for name in names]
         # a shard may have no samples, where there are more shards than these
         self.paths = [
             self.folder / f"{name}.array_record" for name, note in zip(names, notes) if note["indices"]
@@ -126,12 +141,7 @@ class ShardSource:
 
     def verify(self) -> list[Path]:
         """The shards whose bytes are not those that were written."""
-        bad = []
-        for path, digest in zip(self.paths, self._files):
-            with path.open("rb") as file:
-                if hashlib.file_digest(file, "sha256").hexdigest() != digest:
-                    bad.append(path)
-        return bad
+        return [path for path, digest in zip(self.paths, self._files) if not is_file_of(path, digest)]
 
 
 def array_record() -> Any:
@@ -141,6 +151,13 @@ def array_record() -> Any:
     except ImportError as error:
         raise InputError("shards need array_record: pip install 'jaxisp[data]'") from error
     return array_record_module
+
+
+def _size(folder: Path, name: str) -> int:
+    try:
+        return (folder / f"{name}.array_record").stat().st_size
+    except OSError:
+        return -1
 
 
 def _array_record_source(paths: list[Path]) -> Any:

@@ -4,7 +4,6 @@ A shard is a job: any machine can write any of them, in any order, and a job tha
 What sample k is follows from the inputs, the recipe, the seed and k alone.
 """
 
-import hashlib
 import io
 import json
 import os
@@ -19,6 +18,7 @@ import numpy as np
 from jaxisp import __version__
 from jaxisp.data.shard_source import (
     MANIFEST,
+    MOST_SHARDS,
     SCHEMA,
     array_record,
     read_manifest,
@@ -27,7 +27,8 @@ from jaxisp.data.shard_source import (
 )
 from jaxisp.errors import InputError, one_line
 from jaxisp.generate import Degraded, Outcome, Tick, Work
-from jaxisp.io.files import reason, write_text
+from jaxisp.io.digests import digest_of, sealed_json
+from jaxisp.io.files import atomic_write, check_output, write_new, write_text
 from jaxisp.io.jpeg import to_bytes
 from jaxisp.io.locks import locked
 
@@ -72,11 +73,13 @@ def degrade_shards(
             writes one of these shards; or array_record is not installed.
     """
     array_record()
+    if not 1 <= shards <= MOST_SHARDS:
+        raise InputError(f"{shards} shards: expected 1 to {MOST_SHARDS}")
     out, outcome, clock = Path(out), Outcome(), time.perf_counter()
     numbers = list(range(shards) if only is None else only)
     with locked(out, shared=True):
         with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
-            _write_plan(work, out, shards)
+            _write_plan(work, out, shards, numbers)
         total = sum(len(_range(work, s, shards)) for s in numbers)
         for shard in numbers:
             with locked(out, name=f".{shard_name(shard, shards)}.lock"):
@@ -89,8 +92,14 @@ def _range(work: Work, shard: int, shards: int) -> range:
     return range(len(work) * shard // shards, len(work) * (shard + 1) // shards)
 
 
-def _write_plan(work: Work, out: Path, shards: int) -> None:
-    """The manifest that all shards have in common; it must be that of the shards that stand there."""
+def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
+    """The manifest that all shards have in common; it must be that of the shards that stand there.
+
+    Who writes it takes the digests of all inputs; others those of the inputs of their own shards.
+    """
+    before = read_manifest(out) if os.path.lexists(out / MANIFEST) else {}
+    own = {k // work.count for s in numbers for k in _range(work, s, shards)}
+    told = before.get("inputs", [])
     plan = {
         "schema": SCHEMA,
         "format": "array_record of npz: clean, noisy (H, W, 3) uint8, index, name, parameters (TOML)",
@@ -102,10 +111,12 @@ def _write_plan(work: Work, out: Path, shards: int) -> None:
         "count": work.count,
         "samples": len(work),
         "shards": shards,
-        "inputs": [[path.name, path.stat().st_size] for path in work.paths],
+        "inputs": [
+            [path.name, told[i][1] if i < len(told) and i not in own else work.digest_of(path)]
+            for i, path in enumerate(work.paths)
+        ],
     }
-    if (out / MANIFEST).exists():
-        before = read_manifest(out)
+    if before:
         for key in plan:
             if plan[key] != before.get(key) and key != "jaxisp":
                 what = (
@@ -113,8 +124,8 @@ def _write_plan(work: Work, out: Path, shards: int) -> None:
                 )
                 raise InputError(f"{out}: holds shards of {what}; choose another folder")
         return
-    work.recipe.save(out / RECIPE)
-    write_text(out / MANIFEST, json.dumps(plan, indent=1) + "\n")
+    write_new(out / RECIPE, work.recipe.to_toml())
+    write_text(out / MANIFEST, sealed_json(json.dumps(plan, indent=1)))
 
 
 def _write_shard(work: Work, out: Path, shard: int, shards: int, outcome: Outcome, tick: Any) -> None:
@@ -124,49 +135,36 @@ def _write_shard(work: Work, out: Path, shard: int, shards: int, outcome: Outcom
         tick(outcome.images + outcome.kept)
         return
     own = Outcome()
-    path = out / f"{name}.array_record"
-    temporary = path.with_name(f".{path.name}.tmp")  # the shard is locked: nobody else's
+    path, note = out / f"{name}.array_record", out / f"{name}.json"
     indices = []
+    check_output(note, work.inputs_real)
     try:
-        writer = array_record().ArrayRecordWriter(str(temporary), "group_size:1,zstd:1")
-        for degraded in work.run(which, own):
-            writer.write(encode_record(degraded))
-            indices.append(degraded.sample.index)
-            outcome.images += 1
-            tick(outcome.images + outcome.kept)
-        whole = writer.ok()
-        writer.close()
-        if not whole or _count(temporary) != len(indices):
-            raise OSError(0, "the disk may be full")
-        size, digest = _finish(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
+        with atomic_write(path) as file:
+            place = f"/dev/fd/{file.fileno()}"  # it has no name before it is whole
+            writer = array_record().ArrayRecordWriter(place, "group_size:1,zstd:1")
+            for degraded in work.run(which, own):
+                writer.write(encode_record(degraded))
+                indices.append(degraded.sample.index)
+                outcome.images += 1
+                tick(outcome.images + outcome.kept)
+            whole = writer.ok()
+            writer.close()
+            if not whole or _count(place) != len(indices):
+                raise OSError(0, "the disk may be full")
     except RuntimeError as error:  # what array_record raises for any trouble with its file
         raise InputError(f"{path}: cannot be written: {one_line(error)}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
     outcome.failed += own.failed
-    note = {"bytes": size, "sha256": digest, "indices": indices, "failed": own.failed}
-    write_text(out / f"{name}.json", json.dumps(note) + "\n")  # the last: where it stands the shard is whole
+    told = {"bytes": path.stat().st_size, "sha256": digest_of(path), "indices": indices, "failed": own.failed}
+    write_text(note, sealed_json(json.dumps(told)))  # the last: where it stands the shard is whole
 
 
-def _count(path: Path) -> int:
+def _count(place: str) -> int:
     """Records in a file that was just written."""
-    reader = array_record().ArrayRecordReader(str(path))
+    reader = array_record().ArrayRecordReader(place)
     try:
         return int(reader.num_records())
     finally:
         reader.close()
-
-
-def _finish(temporary: Path, path: Path) -> tuple[int, str]:
-    """Size and digest of a written file, once it is on the disk under its name."""
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        size = file.tell()
-    os.replace(temporary, path)
-    return size, digest
 
 
 def encode_record(degraded: Degraded) -> bytes:

@@ -4,6 +4,7 @@ Both are reduced to planes that a global monotone curve does not change; a phase
 shift, Gauss-Newton from coarse to fine refines shift and scale. `warp` then applies the result.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,8 +18,12 @@ from jaxisp.io.orientation import INVERSE, orient
 PATCH = 30.0  # px whose normalised values are about as good as one independent one
 _CHANCE = 5.0  # standard deviations that are not reached by chance
 _ALIKE = 0.2  # what different scenes reach by being built alike (a bright sky, an upright figure)
+_ALIKE_PART = 0.5  # of which one is put on the best of all places in the other
+_PART = 0.75  # share of the larger that is no longer the whole, cut by a border
 _PLAIN = 0.9  # a correlation that no other orientation is better than by
 _BETTER = 0.15
+_PART_SCALES = (1.0, 0.95, 1.05, 0.9, 1.1, 0.85, 1.17, 0.8, 1.24)  # of a part against the whole
+_APART = 3  # reduced px between two places of a part
 SCALE_DEVIATION = 0.01  # how far the scales of two pictures of one size differ, a priori
 
 
@@ -40,7 +45,8 @@ def estimate(reference: np.ndarray, moving: np.ndarray) -> Alignment:
 
     Args:
         reference: (H, W, 3) or (H, W), at least 16 px on the shorter side.
-        moving: likewise; size, tone, colour, noise and sharpness may differ from the reference's.
+        moving: likewise; size, tone, colour, noise and sharpness may differ from the reference's. Of another
+            size it is the whole resized, or one is a part of the other, 0.8 to 1.25 times as large.
 
     Returns:
         The alignment, in Python floats. `correlation` is that of the two normalised pictures (reduced to
@@ -53,7 +59,7 @@ def estimate(reference: np.ndarray, moving: np.ndarray) -> Alignment:
     sizes = factors(still.shape, moved.shape)
     place = _search(still, moved, sizes[0])[0]
     prior = place.scale
-    correlation = -1.0
+    correlation = 0.0
     for index, factor in enumerate((*sizes, sizes[-1])):
         a, b = reduce(still, factor), reduce(moved, factor)
         if index == len(sizes) and np.ndim(moving) == 3:  # aligned well enough to compare colours
@@ -67,16 +73,19 @@ def estimate(reference: np.ndarray, moving: np.ndarray) -> Alignment:
     return _alignment(place, still.shape, moved.shape, correlation)
 
 
-def same_scene(alignment: Alignment, shape: tuple[int, ...]) -> bool:
+def same_scene(alignment: Alignment, *shapes: tuple[int, ...]) -> bool:
     """Whether the correlation is above what two pictures of different scenes reach by chance.
 
     Args:
         alignment: what `estimate` returned.
-        shape: of the smaller picture; the smaller it is, the more chance gives. Below about 64 px
-            a true pair that is noisy may not stand out from it.
+        shapes: of the smaller picture, or of the reference and the other, which tells a part from a whole;
+            the smaller it is, the more chance gives. Below about 64 px a true pair that is noisy may not
+            stand out from it.
     """
-    factor = factors(shape, shape)[0]
-    return bool(alignment.correlation > max(_chance(shape[0] * shape[1] / factor**2), _ALIKE))
+    sizes = [shape[0] * shape[1] for shape in shapes]
+    share = sizes[0] * alignment.scale_y * alignment.scale_x / sizes[1] if len(sizes) > 1 else 1.0
+    alike = _ALIKE_PART if min(share, 1 / share) < _PART else _ALIKE
+    return bool(alignment.correlation > max(_chance(min(sizes) / factors(*shapes)[0] ** 2), alike))
 
 
 def warp(image: jax.Array, alignment: Alignment, shape: tuple[int, ...] | None = None) -> jax.Array:
@@ -128,15 +137,17 @@ def turned_place(reference: np.ndarray, moving: np.ndarray, place: Alignment) ->
 
     Args:
         place: where it lies as it is. It stays, with orientation 1, unless another is clearly better: scenes
-            may be about symmetric, and noisy ones hardly alike.
+            may be about symmetric, and noisy ones hardly alike. One that lies across need only be better.
     """
     if float(place.correlation) > _PLAIN:
         return place, 1
     orientation = best_orientation(reference, moving)
     other = estimate(reference, orient(moving, orientation)) if orientation != 1 else place
-    better = float(other.correlation) > float(place.correlation) + _BETTER
-    smaller = min(np.shape(reference)[:2], np.shape(moving)[:2])
-    return (other, orientation) if better and same_scene(other, smaller) else (place, 1)
+    shapes = np.shape(reference), np.shape(orient(moving, orientation))
+    upright = np.argmax(np.shape(reference)[:2]) == np.argmax(np.shape(moving)[:2])
+    margin = _BETTER if upright or same_scene(place, np.shape(reference), np.shape(moving)) else 0.0
+    better = float(other.correlation) > float(place.correlation) + margin
+    return (other, orientation) if better and same_scene(other, *shapes) else (place, 1)
 
 
 class _Place(NamedTuple):
@@ -199,17 +210,28 @@ def _recolor(still: np.ndarray, channels: list[np.ndarray], place: _Place) -> np
 
 
 def _search(still: np.ndarray, moved: np.ndarray, factor: int) -> tuple[_Place, float]:
-    """The best whole shift (of reduced pixels), at scale 1 and, for other sizes, at that which fits."""
+    """The best whole shift (of reduced pixels), at scale 1 and, for other sizes, at that which fits; and
+    where one may be a part of the other, of any place in it."""
     a, b = normalise(reduce(still, factor)), normalise(reduce(moved, factor))
     ratio = np.asarray(b.shape) / np.asarray(a.shape)
     scales = [np.ones(2)] + ([ratio] if still.shape != moved.shape else [])
     found = []
-    for scale in scales:
-        start = _Place((np.asarray(b.shape) - 1) / 2 - scale * (np.asarray(a.shape) - 1) / 2, scale)
-        for shift in _peaks(a, _view(b, start, a.shape)):
-            place = _Place(start.offset + scale * shift, scale)
+
+    def look(start: _Place, shifts: Sequence[np.ndarray]) -> None:
+        for shift in shifts:
+            place = _Place(start.offset + start.scale * shift, start.scale)
             correlation, pixels = _agreement(a, b, place)
             found.append((correlation * _share(pixels, a, b), place))  # so that chance favours no shift
+
+    for scale in scales:
+        start = _Place((np.asarray(b.shape) - 1) / 2 - scale * (np.asarray(a.shape) - 1) / 2, scale)
+        look(start, _peaks(a, _view(b, start, a.shape)))
+    for scale in _PART_SCALES if still.shape != moved.shape else ():
+        if max(score for score, _ in found) > _PLAIN:
+            break
+        start = _Place(np.full(2, (scale - 1) / 2), np.full(2, scale))
+        whole = _view(b, start, tuple(int(n) for n in np.asarray(b.shape) / scale))
+        look(start, _peaks_of_part(a, whole))
     score, place = max(found, key=lambda f: f[0])
     return place.full(factor), score
 
@@ -224,6 +246,20 @@ def _peaks(a: np.ndarray, b: np.ndarray, count: int = 6) -> list[np.ndarray]:
     for index in np.argsort(surface, axis=None)[: -count - 1 : -1]:
         shift = np.asarray(np.unravel_index(index, size), float)
         shifts.append(np.where(shift >= a.shape, shift - size, shift))
+    return shifts
+
+
+def _peaks_of_part(a: np.ndarray, b: np.ndarray, count: int = 4) -> list[np.ndarray]:
+    """Whole shifts at which two planes correlate best where one is a part of the other, or reaches beyond."""
+    size = tuple(n + m for n, m in zip(a.shape, b.shape))  # zeros around, so that a shift does not wrap
+    cross = np.fft.rfft2(b, size) * np.conj(np.fft.rfft2(a, size))
+    surface = np.fft.irfft2(cross, size)
+    shifts = []
+    for _ in range(count):
+        index = np.asarray(np.unravel_index(surface.argmax(), size))
+        shifts.append(np.where(index >= b.shape, index - size, index).astype(float))
+        around = [np.arange(i - _APART, i + _APART + 1) % n for i, n in zip(index, size)]
+        surface[np.ix_(*around)] = -np.inf
     return shifts
 
 
@@ -260,7 +296,7 @@ def _refine(still: np.ndarray, moved: np.ndarray, place: _Place, prior: np.ndarr
     area = _inside(place, still.shape, moved.shape)
     a, b = still[area], _view(moved, place, still.shape)[area]
     if min(a.shape) < SMALLEST:
-        return place, -1.0
+        return place, 0.0
     change, correlation = _fit(normalise(a), normalise(b), prior / place.scale)
     first = np.array([s.start for s in area])
     offset = place.offset + place.scale * (change.offset + first - change.scale * first)

@@ -26,7 +26,7 @@ from jaxisp.fit.pair import FROM_FILE, Example
 from jaxisp.fit.raw_noise import RawNoise
 from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.fit.search import Options, Outcome, Search, Tick
-from jaxisp.fit.sharing import FIXED_NAMES, IMAGE, canonical, mean_of
+from jaxisp.fit.sharing import FIXED, IMAGE, Layout, canonical, mean_of, sharing
 from jaxisp.fit.spread import agree, ahead, compile_for
 from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
 from jaxisp.params import specs
@@ -49,7 +49,8 @@ def fit_examples(
     median: str = "auto",
     place: str = "camera",
     per_image: Sequence[str] = (),
-    fixed: Sequence[str] = FIXED_NAMES,
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
     starts: int = 1,
     journal: str | Path | None = None,
     mesh: Mesh | None = None,
@@ -66,7 +67,8 @@ def fit_examples(
         place: where denoising is: "camera" RGB or "encoded" RGB.
         per_image: parameters that each image has of its own: stages, `stage.field`s, "tone", "colour".
             The camera gets their mean.
-        fixed: parameters that stay where they start.
+        fixed: parameters that stay where they start, named likewise, beside those of `FIXED_NAMES`.
+        free: those of `FIXED_NAMES` that are fitted all the same.
         starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
         journal: a file for what is done, from which a stopped fit goes on. It stays, so that a result that
             cannot be saved is not lost: the caller deletes it then. One process at a time; of several that
@@ -80,10 +82,11 @@ def fit_examples(
         that no global camera can have made have `flags`.
 
     Raises:
-        InputError: no pair can be fitted, there is no such choice, another process has the journal, or
-            processes that fit together see different pairs.
+        InputError: no pair can be fitted, there is no such choice or parameter, another process has the
+            journal, or processes that fit together see different pairs.
     """
-    options = Options(steps, demosaic, median, place, tuple(per_image), tuple(fixed), starts)
+    names = tuple(per_image), tuple(fixed), tuple(free)
+    options = Options(steps, demosaic, median, place, *names, starts)
     _check(options)
     with alone(journal if jax.process_index() == 0 else None):
         return _fitted(examples, options, journal, tick, mesh)
@@ -124,6 +127,7 @@ def _check(options: Options) -> None:
     for what, (given, names) in known.items():
         if given not in names:
             raise InputError(f"{given!r} is no {what}; there are {', '.join(names)}")
+    sharing(model.start(), options.per_image, options.fixed, options.free)
     if not 1 <= options.starts <= len(model.starts()):
         raise InputError(f"{options.starts} starts: there are 1 to {len(model.starts())}")
 
@@ -224,7 +228,7 @@ def _result(
         outcome.design.text,
         outcome.tried,
         identified,
-        _at_bound(camera),
+        _at_bound(camera, outcome.fit.problem.layout),
         own if outcome.fit.problem.layout.size(IMAGE) else {},
         resumed,
         Lens.of(params).in_the_corner(float(shots[0].chunks[0].corner)) if outcome.design.lens else {},
@@ -257,15 +261,15 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
     return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
 
 
-def _at_bound(camera: Recipe) -> list[str]:
+def _at_bound(camera: Recipe, layout: Layout) -> list[str]:
     """stage.field of what ended within 0.1 % of the range of a bound and is fitted."""
     found = []
-    for stage, values in camera.prior.items():
-        if stage in model.SET_FROM_FILE:
+    for stage, field, flag, _ in layout.leaves:
+        if flag == FIXED or stage not in camera.prior:
             continue
-        for field, spec in specs(type(values)).items():
-            value, (low, high) = np.asarray(getattr(values, field)), spec.bounds
-            near = 1e-3 * (high - low)
-            if f"{stage}.{field}" not in FIXED_NAMES and ((value - low < near) | (high - value < near)).any():
-                found.append(f"{stage}.{field}")
+        value = np.asarray(getattr(camera.prior[stage], field))
+        low, high = specs(type(camera.prior[stage]))[field].bounds
+        near = 1e-3 * (high - low)
+        if ((value - low < near) | (high - value < near)).any():
+            found.append(f"{stage}.{field}")
     return found

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.errors import InputError
 from jaxisp.fit.state import State
-from jaxisp.io.files import write_text
+from jaxisp.io.digests import read_sealed, sealed_json
+from jaxisp.io.files import parse_json, write_text
 from jaxisp.io.locks import locked
 
 VERSION = 1
@@ -25,8 +27,9 @@ class Journal:
 
     Args:
         path: the file; it is replaced whole at each entry.
-        print: what the fit is of. A file with another one is of another fit, and is not read.
-        writes: whether this process writes it; of several that fit together one does.
+        print: what the fit is of. A file with another one is of another fit, and is replaced.
+        writes: whether this process writes it; of several that fit together one does, and none where a file
+            stands there that is no journal, or a damaged one: it is left as it is.
     """
 
     path: Path | None = None
@@ -40,14 +43,13 @@ class Journal:
         """The journal at a path, with what it holds where it is of the same fit."""
         if path is None:
             return cls()
-        journal = cls(Path(path), print, writes)
         try:
-            stored = json.loads(journal.path.read_text()) if journal.path else {}
-        except (OSError, ValueError):
-            return journal
-        if isinstance(stored, dict) and stored.get("print") == print:
-            journal.entries, journal.resumed = stored.get("jobs", {}), bool(stored.get("jobs"))
-        return journal
+            stored = _read(Path(path))
+        except InputError:
+            return cls(Path(path), print, writes=False)
+        if stored.get("print") != print:
+            return cls(Path(path), print, writes)
+        return cls(Path(path), print, writes, stored["jobs"], bool(stored["jobs"]))
 
     def get(self, job: str) -> tuple[State | None, bool]:
         """Where a job was left, and whether it had finished."""
@@ -58,7 +60,29 @@ class Journal:
         """Note where a job is."""
         self.entries[job] = {"state": _encode(state), "finished": finished}
         if self.path is not None and self.writes:
-            write_text(self.path, json.dumps({"print": self.print, "jobs": self.entries}))
+            write_text(self.path, sealed_json(json.dumps({"print": self.print, "jobs": self.entries})))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """What a journal holds, {} where there is none; InputError where it is damaged, or no journal."""
+    if not os.path.lexists(path):
+        return {}
+    stored = parse_json(read_sealed(path), str(path))
+    try:
+        for entry in stored["jobs"].values():
+            _decode(entry["state"]), bool(entry["finished"])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InputError(f"{path}: is no journal of a fit") from error
+    return stored
+
+
+def in_the_way(path: Path) -> str:
+    """Why a fit cannot note there where it is; "" where it can."""
+    try:
+        _read(path)
+    except InputError as error:
+        return f"{error}; it is left as it is, and this fit could not be resumed"
+    return ""
 
 
 @contextlib.contextmanager

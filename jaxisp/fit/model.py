@@ -1,19 +1,17 @@
 """The camera that is fitted: its stages, the discrete choices among them, and where each fit starts."""
 
 import dataclasses
-from typing import Any, TypeGuard
 
 import numpy as np
 
+from jaxisp.encoder import ENCODER, encoder_of
 from jaxisp.io import Jpeg
-from jaxisp.jpeg import codec
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, Saturation
 from jaxisp.stages.choice import ChromaSubsampling
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
-from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.optics import Exposure, GeometricDistortion, LateralChromaticAberration, Vignetting
 from jaxisp.stages.power import Gamma
 from jaxisp.stages.tone import SCurve, ZoneCurve
@@ -41,7 +39,7 @@ SAMPLING = "chroma_subsampling"
 """The last stage that is fitted. Where a JPEG file states its sampling it is set while the rest is fitted,
 and left to the encoder afterwards."""
 
-SET_FROM_FILE = ("mosaic_white_balance", "jpeg_tables")
+SET_FROM_FILE = ("mosaic_white_balance", ENCODER)
 """Stages whose parameters are read, not fitted."""
 
 
@@ -76,7 +74,7 @@ class Design:
 
 
 def head(cfa: str, design: Design) -> Chain:
-    """Mosaic to camera RGB: nothing in it is fitted by gradient, so it runs once a picture."""
+    """Mosaic to camera RGB: nothing in it is fitted, so it runs once a picture."""
     nodes: list[Stage] = [
         stage("mosaic_white_balance", cfa=cfa),
         stage("clip"),
@@ -187,17 +185,10 @@ def sampled(jpeg: Jpeg | None) -> Params:
 _HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 
-def encodable(jpeg: Jpeg | None) -> TypeGuard[Jpeg]:
-    """Whether there is a file whose encoder is among the stages."""
-    return jpeg is not None and jpeg.subsampling in codec.SAMPLING and jpeg.color_space == "YCbCr"
-
-
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:
-    """The chain with the JPEG encoder that wrote `jpeg` at its end, and its parameters: the file's own
-    tables, which are set and not fitted. No encoder where there is no file or its sampling is a rare one."""
-    if not encodable(jpeg):
+    """The chain with the JPEG encoder that wrote `jpeg` at its end, and its parameters, which are set and not
+    fitted. No encoder where there is no file or its own is not modelled."""
+    own = encoder_of(jpeg)
+    if own is None:
         return chain, {}
-    encoder = stage("jpeg_tables", subsampling=jpeg.subsampling)
-    tables = [np.asarray(t, np.float32) for t in (jpeg.luma_table, jpeg.chroma_table)]
-    params: dict[str, Any] = {encoder.name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
-    return Chain((*chain.nodes, encoder), chain.name), params
+    return Chain((*chain.nodes, own[0]), chain.name), own[1]

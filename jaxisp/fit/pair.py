@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import WHITE_BALANCE, params_for, shaded_mosaic
+from jaxisp.encoder import no_encoder
 from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.align import Alignment, estimate, same_scene, turned_place
@@ -60,13 +61,12 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     bright = max(float(np.percentile(camera_rgb, 99)), 1e-6)
     guess = np.asarray(_encoded(np.asarray(camera_rgb) / np.float32(bright)))
     picture, notes = example.picture, []
-    same_axes = (picture.shape[0] > picture.shape[1]) == (guess.shape[0] > guess.shape[1])
     if min(*picture.shape[:2], *guess.shape[:2]) < SMALLEST:
         raise InputError(
             f"{example.name}: the JPEG has {picture.shape[1]}x{picture.shape[0]} px and the RAW "
             f"{guess.shape[1]}x{guess.shape[0]}; expected {SMALLEST} or more a side"
         )
-    alignment = estimate(picture, guess) if same_axes else Alignment(correlation=-1.0)
+    alignment = estimate(picture, guess)
     orientation = INVERSE[turned_place(picture, guess, alignment)[1]]
     if orientation != 1:
         picture, before = np.ascontiguousarray(orient(picture, orientation)), alignment
@@ -75,11 +75,15 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
             f"the JPEG was turned or mirrored against the RAW: turned back by EXIF orientation {orientation} "
             f"(correlation {float(alignment.correlation):.2f} against {float(before.correlation):.2f})"
         )
-    if not same_scene(alignment, picture.shape):
-        raise InputError(
-            f"{example.name}: the RAW and the JPEG do not show the same scene "
-            f"(correlation {float(alignment.correlation):.2f} after alignment)"
-        )
+    if not same_scene(alignment, picture.shape, guess.shape):
+        reason = f"do not show the same scene (correlation {float(alignment.correlation):.2f} at best)"
+        if picture.shape[:2] != guess.shape[:2]:
+            sizes = [f"{shape[1]}x{shape[0]} px" for shape in (picture.shape, guess.shape)]
+            reason += (
+                f", or the JPEG, of {sizes[0]} beside a RAW of {sizes[1]}, is a part that was resized; a fit "
+                f"needs {_SCALES[0]} to {_SCALES[1]} of its size"
+            )
+        raise InputError(f"{example.name}: the RAW and the JPEG {reason}")
     scales = 1 / float(alignment.scale_y), 1 / float(alignment.scale_x)
     if min(scales) < _SCALES[0] or max(scales) > _SCALES[1]:
         raise InputError(
@@ -89,6 +93,9 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     # a turned picture is not on its encoder's grid any more
     jpeg = example.jpeg if orientation == 1 else None
     alignment, k1 = radial(picture, guess, alignment)
+    why = jpeg and no_encoder(jpeg)
+    if why:
+        notes.append(f"what its JPEG encoder did is not modelled: {why}")
     example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
     return example, alignment, Lens(k1), orientation, tuple(notes)
 

@@ -7,6 +7,7 @@ from jaxisp.color import LUMA_601
 SMALLEST = 16  # px of the shorter side
 SAMPLE = 100_000  # pixels that are ranked
 _COARSE = 384  # px of the longer side where the search starts
+_PART = 64  # px of the shorter side that this leaves: a part of a large picture must not be all chance
 _FINE = 1024  # px of the longer side where it ends
 
 
@@ -27,7 +28,7 @@ def factors(*shapes: tuple[int, ...]) -> list[int]:
     while longest // finest > _FINE:
         finest *= 2
     factors = [finest]
-    while longest // factors[0] > _COARSE and shortest // factors[0] >= 2 * SMALLEST:
+    while longest // factors[0] > _COARSE and shortest // factors[0] >= 2 * _PART:
         factors.insert(0, 2 * factors[0])
     return factors
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.encoder import ENCODER as JPEG
 from jaxisp.errors import InputError
 from jaxisp.params import Spec, map_specs, specs
 from jaxisp.pipeline import Chain, Node, Params, stage
@@ -32,7 +33,6 @@ LEFT_OUT = (
 """Tone, colour and geometry: a denoiser is to take away noise, not to undo a look
 (Jaroensri et al. 2019)."""
 
-JPEG = "jpeg_tables"
 ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxisp.fit import model
 from jaxisp.fit.sharing import CAMERA, IMAGE, Layout
-from jaxisp.pipeline import Params
+from jaxisp.pipeline import Params, Stage
 
 GEOMETRY = ("shift_y", "shift_x", "scale_y", "scale_x")
 UNITS = (1.0, 1.0, 1e-3, 1e-3)
@@ -48,7 +48,7 @@ class Given(NamedTuple):
         geometry: (4,) shift [px] and scale in y and x that the alignment found.
         bends: whether the lens is rendered.
         encodes: whether what is compared went through the file's own JPEG encoder.
-        tables: (2, 8, 8) that encoder's, of luma and chroma.
+        encoder: that encoder's parameters; empty where there is none.
         moving: (columns,) which parameters move; the derivative of the others is 0.
     """
 
@@ -57,20 +57,20 @@ class Given(NamedTuple):
     geometry: Any
     bends: Any
     encodes: Any
-    tables: Any
+    encoder: Params
     moving: Any
 
 
 class Problem(NamedTuple):
-    """The static part: where denoising is, which parameters move, and the JPEG's sampling. Hashable.
+    """The static part: where denoising is, which parameters move, and the JPEG's encoder. Hashable.
 
     Demosaicking is done before, and the size of the median is traced: all designs share one compile.
-    Without a sampling there is no encoder.
+    Its parameters are traced.
     """
 
     place: str
     layout: Layout
-    subsampling: str | None = None
+    encoder: Stage | None = None
 
     @property
     def columns(self) -> list[tuple[str, str]]:

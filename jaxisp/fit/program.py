@@ -1,10 +1,10 @@
 """What runs on the device: tiles rendered with many parameter vectors at once, and their normal equations.
 
-Derivatives are forward differences. The neighbourhood stages have reverse-mode rules only, and a
-Jacobian with one column a parameter needs the other direction; it also costs less to compile, and
-sees through rounding, medians and choices. Reading the tiles and denoising are done again only for the
-parameters before or in them; the others start from what they gave. What is switched off (the lens, until
-it shows; a median that is not there) is not rendered.
+Derivatives are forward differences. `jax.jacfwd` goes through the same chain and is more exact, but runs 1.4
+times as long and compiles four times as long (`experiments.fit_derivatives`); differences also see through
+rounding, medians and choices. Reading the tiles and denoising are done again only for the parameters before
+or in them; the others start from what they gave. What is switched off (the lens, until it shows; a median
+that is not there) is not rendered.
 """
 
 import functools
@@ -24,7 +24,6 @@ from jaxisp.fit.sampling import sample
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.tiles import HALO, SIDE, TILE, TILES, Chunk, no_chunk
 from jaxisp.pipeline import Chain, Params, stage
-from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.optics.light import radial_gain
 
 AFTER = 8  # px of the halo that are seen after denoising: unsharp mask 6, chroma sampling 2
@@ -157,13 +156,12 @@ def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Arr
 
 def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
     """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged without one."""
-    if problem.subsampling is None:
+    encoder = problem.encoder
+    if encoder is None:
         return images
-    encoder = stage("jpeg_tables", subsampling=problem.subsampling)
-    tables = JpegTables(luma_table=given.tables[0], chroma_table=given.tables[1])
 
     def encode(images: jax.Array) -> jax.Array:
-        coded = jax.vmap(lambda image: encoder.apply({encoder.name: tables}, image, None))
+        coded = jax.vmap(lambda image: encoder.apply(given.encoder, image, None))
         return jnp.clip(coded(jnp.round(images * 255) / 255), 0, 1)
 
     return jax.lax.cond(given.encodes, encode, lambda images: images, images)
@@ -238,8 +236,8 @@ def on_nothing(problem: Problem) -> tuple[Given, np.ndarray, Chunk]:
     """Arguments for `normal_equations` with which it can be compiled."""
     start, columns = as_arrays(model.start()), len(problem.columns)
     moving, still = np.zeros(columns, bool), np.asarray([0, 0, 1, 1], np.float32)
-    no, tables = np.bool_(False), np.ones((2, 8, 8), np.float32)
-    given = Given(start, np.int32(0), still, no, no, tables, moving)
+    no, encoder = np.bool_(False), problem.encoder.init() if problem.encoder else {}
+    given = Given(start, np.int32(0), still, no, no, encoder, moving)
     return given, np.zeros(columns, np.float32), no_chunk()
 
 

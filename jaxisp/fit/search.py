@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 from jax.sharding import Mesh
 
+from jaxisp.encoder import encoder_of
 from jaxisp.fit import model, noise
 from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
-from jaxisp.fit.sharing import CAMERA, IMAGE, Layout, sharing
+from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
+from jaxisp.params import map_specs
 from jaxisp.pipeline import Params
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
@@ -44,7 +46,8 @@ class Options:
         median: a footprint, "none", or "auto".
         place: where denoising is; see `model.Design`.
         per_image: parameters that each image has of its own; see `sharing`.
-        fixed: parameters that are not fitted.
+        fixed: parameters that are not fitted, beside `FIXED_NAMES`.
+        free: those of `FIXED_NAMES` that are.
         starts: how many of `model.starts` are tried.
     """
 
@@ -53,7 +56,8 @@ class Options:
     median: str
     place: str
     per_image: tuple[str, ...]
-    fixed: tuple[str, ...]
+    fixed: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
     starts: int = 1
 
     @property
@@ -67,10 +71,12 @@ class Options:
 
     def problem(self, jpeg: Jpeg | None) -> Problem:
         """What is compiled, for files that state their chroma sampling, or for none."""
-        fixed = (*self.fixed, *([model.SAMPLING] if jpeg else []))
         start = model.start()
-        layout = Layout.of(start, sharing(start, self.per_image, fixed))
-        return Problem(self.place, layout, jpeg.subsampling if model.encodable(jpeg) else None)
+        flags = sharing(start, self.per_image, self.fixed, self.free)
+        if jpeg:  # states it
+            flags[model.SAMPLING] = map_specs(lambda spec, _: FIXED, flags[model.SAMPLING])
+        own = encoder_of(jpeg)
+        return Problem(self.place, Layout.of(start, flags), own[0] if own else None)
 
     @property
     def designs(self) -> list[model.Design]:
@@ -141,17 +147,16 @@ class Search:
                 View(
                     tuple(with_source(c, shot.cfa, design) for c in shot.chunks),
                     shot.geometry,
-                    self._tables(shot.jpeg),
+                    self._encoder(shot.jpeg),
                 )
                 for shot in self.shots
             )
         return self._sources[key]
 
-    def _tables(self, jpeg: Jpeg | None) -> np.ndarray | None:
-        """A file's own, where the encoder that is compiled is its."""
-        if jpeg is None or jpeg.subsampling != self.problem.subsampling:
-            return None
-        return np.stack([jpeg.luma_table, jpeg.chroma_table]).astype(np.float32)
+    def _encoder(self, jpeg: Jpeg | None) -> Params | None:
+        """The parameters of a file's own, where the encoder that is compiled is its."""
+        own = encoder_of(jpeg)
+        return own[1] if own and own[0] == self.problem.encoder else None
 
     def run(self) -> Outcome:
         """All phases."""

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, meant
 from jaxisp.params import map_specs, specs, to_bounded, to_unbounded
 from jaxisp.pipeline import Params
 
@@ -24,7 +24,7 @@ FIXED_NAMES = (
     "chroma_subsampling.sampled",
     "chroma_subsampling.repeated",
 )
-"""What stays where it starts unless it is asked for."""
+"""What stays where it starts, unless `free` or `per_image` asks for it."""
 
 GROUPS = {
     "tone": ("gamma_compression", "s_curve", "zone_curve"),
@@ -33,37 +33,45 @@ GROUPS = {
 """Names that stand for several stages."""
 
 
-def sharing(params: Params, per_image: Iterable[str] = (), fixed: Iterable[str] = FIXED_NAMES) -> Params:
+def sharing(
+    params: Params, per_image: Iterable[str] = (), fixed: Iterable[str] = (), free: Iterable[str] = ()
+) -> Params:
     """The flags of a parameter tree: a tree of the same shape whose leaves are "camera", "image" or "fixed".
+
+    Names are stages, `stage.field`s or groups ("tone", "colour").
 
     Args:
         params: the parameters.
-        per_image: stages, `stage.field`s or groups ("tone", "colour") that each image has of its own.
-        fixed: what is not fitted; what is per image is.
+        per_image: what each image has of its own.
+        fixed: what is not fitted, beside `FIXED_NAMES`; what is per image is.
+        free: of `FIXED_NAMES`, what is fitted all the same.
 
     Raises:
-        InputError: no such stage or field.
+        InputError: no such stage or field, or one that is both fixed and to be fitted.
     """
     flags = map_specs(lambda spec, _: CAMERA, params)
-    own = _expanded(per_image, params, strict=True)
-    kept = _expanded(fixed, params, strict=False) - own
+    own, held, freed = (_expanded(names, params) for names in (per_image, fixed, free))
+    both = sorted(".".join(name) for name in held & (own | freed))
+    if both:
+        raise InputError(f"{', '.join(both)}: is fixed, and free or per image; expected one of these")
+    kept = (_expanded(FIXED_NAMES, params) - freed | held) - own
     for flag, names in ((FIXED, kept), (IMAGE, own)):
         for stage, field in names:
             flags[stage] = dataclasses.replace(flags[stage], **{field: flag})
     return flags
 
 
-def _expanded(names: Iterable[str], params: Params, strict: bool) -> set[tuple[str, str]]:
+def _expanded(names: Iterable[str], params: Params) -> set[tuple[str, str]]:
+    fields = {stage: list(specs(type(values))) for stage, values in params.items()}
+    known = [*GROUPS, *fields, *(f"{stage}.{field}" for stage, own in fields.items() for field in own)]
     found = set()
     for name in names:
+        if name not in known:
+            among = meant(name, known) or f"; there are {', '.join([*GROUPS, *fields])}"
+            raise InputError(f"no fitted parameter is named {name!r}{among}")
         for part in GROUPS.get(name, (name,)):
             stage, _, field = part.partition(".")
-            fields = list(specs(type(params[stage]))) if stage in params else []
-            wanted = [field] if field else fields
-            if strict and (not fields or not set(wanted) <= set(fields)):
-                known = ", ".join([*GROUPS, *params])
-                raise InputError(f"no fitted parameter is named {name!r}; there are {known}")
-            found |= {(stage, f) for f in wanted if f in fields}
+            found |= {(stage, f) for f in ([field] if field else fields[stage])}
     return found
 
 

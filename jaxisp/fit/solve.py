@@ -122,13 +122,14 @@ class Fit:
     def given(self, pair: int, geometry: np.ndarray | None = None) -> Given:
         """What is known of a pair; `geometry`: another shift and scale than the alignment's."""
         view = self.views[pair]
-        tables = np.ones((2, 8, 8), np.float32) if view.tables is None else view.tables
+        absent = self.problem.encoder.init() if self.problem.encoder else {}
+        encoder = absent if view.encoder is None else view.encoder
         geometry = view.geometry if geometry is None else geometry
         encodes = np.bool_(self._encodes(pair))
-        return Given(self.fixed, self.median, geometry, self.bends, encodes, tables, self.moving)
+        return Given(self.fixed, self.median, geometry, self.bends, encodes, encoder, self.moving)
 
     def _encodes(self, pair: int) -> bool:
-        return self.encodes and self.views[pair].tables is not None
+        return self.encodes and self.views[pair].encoder is not None
 
     def _eight_bits(self, pair: int, sums: Any) -> np.ndarray:
         """The sums for the noise statistics as rounding leaves them, where the encoder did not round yet."""

@@ -6,15 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxisp.fit.tiles import Chunk
+from jaxisp.pipeline import Params
 
 
 class View(NamedTuple):
-    """The tiles of one pair as they are fitted: demosaicked, where they lie, and its file's JPEG tables
-    (2, 8, 8), None where its encoder is not rendered."""
+    """The tiles of one pair as they are fitted: demosaicked, where they lie, and the parameters of its
+    file's JPEG encoder, None where that is not rendered."""
 
     chunks: tuple[Chunk, ...]
     geometry: np.ndarray
-    tables: np.ndarray | None = None
+    encoder: Params | None = None
 
 
 @dataclasses.dataclass(frozen=True)

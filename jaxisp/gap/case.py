@@ -93,7 +93,7 @@ NULL_EXCESS = {RAW_JPEG: 0.5, CLEAN_NOISY: 1.0}
 and its order of steps are not quite the base's."""
 NULL_DROP = {RAW_JPEG: 0.1, CLEAN_NOISY: 0.7}
 """By how much, as a share of the floor, an effect may lower that camera's gap all the same;
-`experiments.null_drops` measures it (RAW+JPEG: docs/results/null-drops.md)."""
+`experiments.null_drops` measures it (RAW+JPEG: docs/results/null-drops.json)."""
 
 
 class Gap(NamedTuple):

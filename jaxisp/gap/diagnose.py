@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.encoder import no_encoder
 from jaxisp.errors import InputError
 from jaxisp.gap.axes.null_bank import CLEAR, held_against_nulls
 from jaxisp.gap.base import raw_jpeg
@@ -133,6 +134,11 @@ def _laid(laid: Laid, strays: Sequence[str]) -> dict[str, Any]:
             {"name": name, "reason": _STRAY if rows[name]["certain"] else _TWO_SCENES} for name in strays
         ],
         "failed": [{"file": name, "reason": reason} for name, reason in laid.failed],
+        "encoder_not_modelled": [
+            {"name": pair.name, "reason": why}
+            for pair in laid.kept
+            if pair.jpeg and (why := no_encoder(pair.jpeg))
+        ],
     }
 
 
@@ -294,7 +300,7 @@ def raw_case(
     if loaded[0].jpeg is None:  # was compressed once, if at all
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unsaid}
-    offered = [e.name for e in effects if e.name not in apart]
+    offered = [name for name in model.effects if name not in apart]
     stored = floor_difference(problem, [p.jpeg for p in loaded])
     floors, given = floor_errors(problem, stored), f"camera {camera.name}" if camera else None
     grain = None if "film_grain" in exclude else stored

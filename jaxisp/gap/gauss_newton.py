@@ -32,7 +32,7 @@ def solve(gram: np.ndarray, slope: np.ndarray, z: np.ndarray, ranges: np.ndarray
     for _ in range(len(z) + 1):  # coordinates that would leave their range are put on its end
         fixed = ~free
         right = slope - gram[:, fixed] @ move[fixed]
-        damped = gram + np.diag(_RIDGE * diagonal + 1e-12 * diagonal.max() + 1e-30)
+        damped = gram + np.diag(_RIDGE * diagonal + 1e-12 * diagonal.max(initial=0.0) + 1e-30)
         move[free] = np.linalg.solve(damped[np.ix_(free, free)], right[free])
         out = free & ((z + move < ranges[0] - 1e-9) | (z + move > ranges[1] + 1e-9))
         if not out.any():
@@ -64,7 +64,7 @@ def fit(
     move is off what is usual, and what a prior adds.
 
     Args:
-        which: the coordinates that move.
+        which: the coordinates that move; with none the error alone is measured.
         scenes: the pairs that are looked at.
         steps: at most so many.
         fresh: whose columns are computed anew at each step; the others' are kept. All by default. A problem
@@ -80,7 +80,7 @@ def fit(
     go, most, worth = (follow, _FOLLOWED, _ANEW) if follow else (problem.move_to, 1, _WORTHWHILE)
     at = _measured(problem, problem.z, which, scenes, prior)
     kept = {} if fresh is None else {i: problem.columns[i] for i in which if i not in set(fresh)}
-    for _ in range(steps):
+    for _ in range(steps if which else 0):  # a given camera has no base to be fitted
         problem.columns.update(kept)
         problem.compute(which)
         start = at

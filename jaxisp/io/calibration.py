@@ -1,5 +1,6 @@
 """Colour calibration of a camera: from the matrices that a file states to linear sRGB."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,49 +18,140 @@ _TEMPERATURES = {
 }  # fmt: skip
 
 
+_DAYLIGHTS, _DAYLIGHT_TINT = (20, 21, 22, 23), 0.0032  # D55, D65, D75, D50 lie above the Planckian locus
+# Below and above these wavelengths [nm] the eye sees nothing.
+_SEEN = 360.0, 830.0
+
+Light = int | tuple[float, float]
+"""An illuminant: an EXIF LightSource code, or a chromaticity x, y."""
+
+
 @dataclass(frozen=True)
 class Calibration:
-    """The matrices of a DNG: one or two of each, for as many illuminants.
+    """The matrices of a DNG: one to three of each, for as many illuminants.
 
     Args:
-        illuminants: EXIF LightSource codes; 0 is unknown.
+        illuminants: of each ColorMatrix; code 0 is unknown.
         color_matrices: (n, 3, 3) XYZ to camera (ColorMatrix).
-        forward_matrices: (n, 3, 3) white-balanced camera to XYZ D50 (ForwardMatrix), or None.
+        forward_matrices: n of (3, 3) white-balanced camera to XYZ D50 (ForwardMatrix), None where one is
+            missing; or None.
         camera_calibrations: (n, 3, 3) this camera against its model (CameraCalibration).
         analog_balance: (3,) gains before the converter (AnalogBalance).
     """
 
-    illuminants: tuple[int, ...]
+    illuminants: tuple[Light, ...]
     color_matrices: np.ndarray
-    forward_matrices: np.ndarray | None
+    forward_matrices: Sequence[np.ndarray | None] | None
     camera_calibrations: np.ndarray
     analog_balance: np.ndarray
 
     def at(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """XYZ to camera, reference camera to this one, and forward matrix, in light of chromaticity `xy`."""
-        weight = self._weight(xy)
+        weights = mixing_weights(self.illuminants, xy)
+        color = np.tensordot(weights, self.color_matrices, 1)
+        to_this = np.diag(self.analog_balance) @ np.tensordot(weights, self.camera_calibrations, 1)
+        return to_this @ color, to_this, self._forward(weights)
 
-        def mix(matrices: np.ndarray) -> np.ndarray:
-            return weight * matrices[0] + (1 - weight) * matrices[-1]
-
-        to_this = np.diag(self.analog_balance) @ mix(self.camera_calibrations)
-        forward = None if self.forward_matrices is None else mix(self.forward_matrices)
-        return to_this @ mix(self.color_matrices), to_this, forward
-
-    def _weight(self, xy: np.ndarray) -> float:
-        """Share of the first illuminant: linear in inverse temperature, held outside the two."""
-        first, last = (_TEMPERATURES.get(i, 0) for i in (self.illuminants[0], self.illuminants[-1]))
-        if first == last or not (first and last):
-            return 1.0
-        share = (1 / temperature(xy) - 1 / last) / (1 / first - 1 / last)
-        return float(np.clip(share, 0, 1))
+    def _forward(self, weights: np.ndarray) -> np.ndarray | None:
+        """The mix of those that there are: the only one whatever the light."""
+        stated = () if self.forward_matrices is None else self.forward_matrices
+        there = [(w, m) for w, m in zip(weights, stated) if m is not None]
+        if not there:
+            return None
+        own, matrices = np.array([w for w, _ in there]), np.stack([m for _, m in there])
+        own = own / own.sum() if own.sum() > 0 else np.full(len(there), 1 / len(there))
+        return np.tensordot(own, matrices, 1)
 
 
-def temperature(xy: np.ndarray) -> float:
-    """Correlated colour temperature [K] of a chromaticity. Source: McCamy 1992."""
+def mixing_weights(illuminants: Sequence[Light], xy: np.ndarray) -> np.ndarray:
+    """(n,) share of each illuminant's matrices in light of chromaticity `xy`; they sum to 1.
+
+    Between two it is linear in inverse temperature, and held outside them. Of three each counts by its
+    distance in inverse temperature and tint. The first alone counts where another is unknown.
+
+    Source: Digital Negative specification 1.7.1, chapter 6, and Adobe's DNG SDK 1.7 for three.
+    """
+    first = np.eye(len(illuminants))[0]
+    lights = [_temperature_and_tint(light) for light in illuminants]
+    if len(lights) == 1 or not all(kelvin for kelvin, _ in lights):
+        return first
+    kelvin, tint = temperature_and_tint(xy)
+    if len(lights) == 2:
+        (warm, _), (cold, _) = lights
+        if warm == cold:
+            return first
+        share = float(np.clip((1 / kelvin - 1 / cold) / (1 / warm - 1 / cold), 0, 1))
+        return np.array([share, 1 - share])
+    places = np.array([(15 * t, min(1500 / k, 1)) for k, t in [*lights, (kelvin, tint)]])
+    near = 1 / (np.square(places[:-1] - places[-1]).sum(1) + 1e-8)
+    near = near / near.sum()
+    smooth = np.clip((near * near * (3 - 2 * near) - 0.02) / 0.98, 0, 1)
+    return smooth / smooth.sum()
+
+
+def _temperature_and_tint(light: Light) -> tuple[float, float]:
+    """0 K where the illuminant is unknown."""
+    if isinstance(light, tuple):
+        return temperature_and_tint(np.array(light))
+    return float(_TEMPERATURES.get(light, 0)), _DAYLIGHT_TINT if light in _DAYLIGHTS else 0.0
+
+
+def temperature_and_tint(xy: np.ndarray) -> tuple[float, float]:
+    """Correlated colour temperature [K, 1000 to 40000] of a chromaticity, and how far it is from the
+    Planckian locus in the CIE 1960 diagram (greenish is above 0).
+
+    Source: the locus by Krystek 1985, "An algorithm to calculate correlated colour temperature".
+    """
     x, y = xy
-    n = (x - 0.3320) / (0.1858 - y) if y != 0.1858 else 0.0
-    return float(np.clip(((449 * n + 3525) * n + 6823.3) * n + 5520.33, 1000, 40000))
+    u, v = np.array([4 * x, 6 * y]) / (-2 * x + 12 * y + 3)
+    mired = np.arange(25.0, 1001.0)
+    locus_u, locus_v = _planckian(1e6 / mired)
+    squared = (locus_u - u) ** 2 + (locus_v - v) ** 2
+    at = int(np.clip(np.argmin(squared), 1, mired.size - 2))
+    before, here, after = squared[at - 1 : at + 2]
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    kelvin = 1e6 / float(np.clip(mired[at] + shift, 25, 1000))
+    on_u, on_v = _planckian(np.asarray(kelvin))
+    return kelvin, float(np.copysign(np.hypot(u - on_u, v - on_v), v - on_v))
+
+
+def _planckian(kelvin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """u and v of the Planckian locus."""
+    u = (0.860117757 + 1.54118254e-4 * kelvin + 1.28641212e-7 * kelvin**2) / (
+        1 + 8.42420235e-4 * kelvin + 7.08145163e-7 * kelvin**2
+    )
+    v = (0.317398726 + 4.22806245e-5 * kelvin + 4.20481691e-8 * kelvin**2) / (
+        1 - 2.89741816e-5 * kelvin + 1.61456053e-7 * kelvin**2
+    )
+    return u, v
+
+
+def spectrum_xy(first: float, step: float, power: np.ndarray) -> np.ndarray:
+    """(2,) chromaticity of a spectrum of `power` at wavelengths [nm] from `first` on.
+
+    Between samples it is linear, and held outside them.
+
+    Source: the observer (CIE 1931, 2 degrees) by Wyman et al. 2013, "Simple analytic approximations to
+    the CIE XYZ color matching functions".
+    """
+    nm = np.arange(_SEEN[0], _SEEN[1] + 1)
+    light = np.interp(nm, first + step * np.arange(power.size), power)
+    seen = _observer(nm) @ light
+    return seen[:2] / seen.sum()
+
+
+def _observer(nm: np.ndarray) -> np.ndarray:
+    """(3, wavelengths) sums of Gaussians whose two sides differ."""
+    lobes = (
+        (0, 1.056, 599.8, 37.9, 31.0), (0, 0.362, 442.0, 16.0, 26.7), (0, -0.065, 501.1, 20.4, 26.2),
+        (1, 0.821, 568.8, 46.9, 40.5), (1, 0.286, 530.9, 16.3, 31.1),
+        (2, 1.217, 437.0, 11.8, 36.0), (2, 0.681, 459.0, 26.0, 13.8),
+    )  # fmt: skip
+    out = np.zeros((3, nm.size))
+    for row, height, centre, below, above in lobes:
+        out[row] += height * np.exp(-0.5 * ((nm - centre) / np.where(nm < centre, below, above)) ** 2)
+    return out
 
 
 def white_xy(calibration: Calibration, neutral: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
 """DNG files: opcode lists and a writer."""
 
+import math
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,9 @@ from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.opcodes import GainMap, Opcode, pack_opcodes, parse_opcodes
 
 __all__ = ["GainMap", "Opcode", "Tag", "pack_opcodes", "parse_opcodes", "write_dng"]
+
+_MOST_ISO = 65535  # of its own tag; the next ones state what is above
+_LARGEST = 2**32 - 1
 
 Tag = tuple[int, int, int, Any]
 """Code, TIFF type (1 BYTE, 2 ASCII, 3 SHORT, 4 LONG, 5 RATIONAL, 7 UNDEFINED, 10 SRATIONAL, 12 DOUBLE),
@@ -64,6 +69,10 @@ def write_dng(
     mosaic = np.asarray(mosaic)
     if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
         raise ValueError(f"write_dng: expected an (H, W) uint16 mosaic, got {mosaic.shape} {mosaic.dtype}")
+    if not 0 < iso <= _LARGEST:
+        raise ValueError(f"write_dng: iso = {iso}, expected 1 to {_LARGEST}")
+    if not 0 < exposure_time <= _LARGEST:
+        raise ValueError(f"write_dng: exposure_time = {exposure_time} s, expected above 0, up to {_LARGEST}")
     frame = active_area or (0, 0, *mosaic.shape)
     top, left, height, width = crop or (0, 0, frame[2] - frame[0], frame[3] - frame[1])
     levels = np.rint(np.asarray(black, np.float64) * 256).astype(int).ravel()
@@ -102,21 +111,23 @@ def _main_tags(
     noise: np.ndarray | None,
 ) -> list[Tag]:
     out: list[Tag] = [
-        (tags.MAKE, 2, 0, make),
-        (tags.MODEL, 2, 0, model),
+        (tags.MAKE, 2, 0, make.encode()),
+        (tags.MODEL, 2, 0, model.encode()),
         (tags.ORIENTATION, 3, 1, int(orientation)),
-        (tags.EXPOSURE_TIME, 5, 1, (round(exposure_time * 1_000_000), 1_000_000)),
-        (tags.ISO, 3, 1, int(iso)),
+        (tags.EXPOSURE_TIME, 5, 1, _ratio(exposure_time)),
+        (tags.ISO, 3, 1, min(int(iso), _MOST_ISO)),
         (tags.DNG_VERSION, 1, 4, b"\1\4\0\0"),
         (50707, 1, 4, b"\1\1\0\0"),  # DNGBackwardVersion
-        (50708, 2, 0, f"{make} {model}"),  # UniqueCameraModel
+        (50708, 2, 0, f"{make} {model}".encode()),  # UniqueCameraModel
         (tags.NEUTRAL, 5, 3, _rationals(neutral)),
         (tags.BASELINE_EXPOSURE, 10, 1, (0, 1)),
     ]
+    if iso >= _MOST_ISO:
+        out += [(tags.SENSITIVITY_TYPE, 3, 1, 2), (tags.RECOMMENDED_EXPOSURE_INDEX, 4, 1, int(iso))]
     if color_matrix is not None:
         out += [
-            (tags.COLOR_MATRIX_1, 10, 9, _rationals(np.ravel(color_matrix))),
-            (tags.ILLUMINANT_1, 3, 1, 21),
+            (tags.COLOR_MATRICES[0], 10, 9, _rationals(np.ravel(color_matrix))),
+            (tags.ILLUMINANTS[0], 3, 1, 21),
         ]
     if noise is not None:
         out.append((tags.NOISE_PROFILE, 12, np.size(noise), tuple(float(v) for v in np.ravel(noise))))
@@ -154,6 +165,13 @@ def _write_pages(
         extratags=tagged(main),
     )
     tif.write(mosaic, subfiletype=0, extratags=tagged(raw, extra), **options)
+
+
+def _ratio(value: float) -> tuple[int, int]:
+    """Numerator and denominator, both of 32 bits."""
+    finest = min(1_000_000, _LARGEST // max(math.ceil(value), 1))
+    ratio = Fraction(value).limit_denominator(finest)
+    return ratio.numerator, ratio.denominator
 
 
 def _rationals(values: Any) -> tuple[int, ...]:

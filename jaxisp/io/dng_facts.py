@@ -1,4 +1,4 @@
-"""What the tags of a DNG state about its pixels, and what must hold before LibRaw opens them."""
+"""What the tags of a DNG state about its levels, its noise, its lens and the shot."""
 
 from pathlib import Path
 from typing import Any
@@ -7,146 +7,126 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io import tags as tag
-from jaxisp.io.calibration import Calibration, neutral_of
-from jaxisp.io.files import check_pixels
-from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, parse_opcodes
+from jaxisp.io.dng_color import Tell
+from jaxisp.io.opcodes import Opcode, WarpRectilinear, check_gains, parse_opcodes, shades
 from jaxisp.io.tags import DngTags
 
-_JPEG_XL = 52546
+_MOST_CODE = 65535  # of a pixel, and of the ISO speed of EXIF
+_MOST_EXPOSURE = 8.0  # EV
+_MOST_SCALE = 4.0
 
 
-def check_dng(tags: DngTags, path: Path) -> None:
-    """Raise InputError where the RAW pixels are not one whole Bayer mosaic of integers."""
-    raw = tags.raw
-    kind, samples = raw.get(tag.PHOTOMETRIC), raw.get(tag.SAMPLES, 1)
-    if kind == tag.LINEAR_RAW and samples == 1:
-        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
-    if kind == tag.LINEAR_RAW:
-        raise InputError(f"{path}: is a linear (already demosaicked) DNG, expected a Bayer mosaic")
-    if kind != tag.CFA:
-        raise InputError(f"{path}: holds no RAW pixels, expected a DNG with a Bayer mosaic")
-    _check_size(raw, path)
-    pattern = raw.get(tag.CFA_PATTERN, b"")
-    if tuple(raw.get(tag.CFA_DIM, ())) != (2, 2) or sorted(pattern) != [0, 1, 1, 2]:
-        dims = "x".join(f"{n:g}" for n in raw.get(tag.CFA_DIM, ())) or "unknown"
-        raise InputError(f"{path}: has a colour filter array that is not Bayer ({dims} cell)")
-    if raw.get(tag.PLANE_COLOR, b"\0\1\2") != b"\0\1\2":
-        raise InputError(f"{path}: has a colour filter array that is not red, green and blue")
-    if raw.get(tag.SAMPLE_FORMAT) == 3:
-        raise InputError(f"{path}: holds floating-point RAW pixels, expected integers")
-    if raw.get(tag.COMPRESSION) == _JPEG_XL:
-        raise InputError(
-            f"{path}: is compressed with JPEG XL, which LibRaw does not read; expected a lossless DNG"
-        )
-    _check_whole(raw, path)
-
-
-def _check_size(raw: dict[int, Any], path: Path) -> None:
-    width, height = raw.get(tag.WIDTH, 0), raw.get(tag.HEIGHT, 0)
-    check_pixels(width, height, path.stat().st_size, str(path), bytes_each=2)
-    if min(width, height) < 2:
-        raise InputError(f"{path}: says it is {width} x {height} pixels; it is damaged")
-
-
-def _check_whole(raw: dict[int, Any], path: Path) -> None:
-    """LibRaw leaves missing rows black without a word: so compare the file's size with what it says."""
-    tiled = tag.TILE_OFFSETS in raw
-    none = np.zeros(0)
-    offsets = raw.get(tag.TILE_OFFSETS if tiled else tag.STRIP_OFFSETS, none)
-    counts = raw.get(tag.TILE_COUNTS if tiled else tag.STRIP_COUNTS, none)
-    if not offsets.size or offsets.shape != counts.shape or not np.isfinite(offsets + counts).all():
-        raise InputError(f"{path}: is damaged (no strips or tiles of RAW pixels)")
-    needed, size = int((offsets.astype(np.int64) + counts.astype(np.int64)).max()), path.stat().st_size
-    if needed > size:
-        raise InputError(f"{path}: is truncated: {size} bytes of at least {needed}")
-    pixels, bits = raw[tag.WIDTH] * raw[tag.HEIGHT], raw.get(tag.BITS, 16)
-    if raw.get(tag.COMPRESSION, 1) == 1 and int(counts.sum()) * 8 < pixels * bits:
-        raise InputError(
-            f"{path}: is damaged: {int(counts.sum())} bytes of RAW pixels for {pixels} of {bits} bits"
-        )
-
-
-def active_area(tags: DngTags, path: Path) -> tuple[int, int, int, int]:
-    """Top, left, bottom, right of the pixels that see light, in the whole frame."""
-    height, width = tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]
-    area = tags.numbers(tag.ACTIVE_AREA, (0, 0, height, width))
-    if area is None or area.size != 4 or not np.isfinite(area).all():
-        raise InputError(f"{path}: has a damaged ActiveArea")
-    top, left, bottom, right = (int(v) for v in area)
-    if not (0 <= top < bottom <= height and 0 <= left < right <= width):
-        raise InputError(
-            f"{path}: has an ActiveArea {top, left, bottom, right} outside its {width} x {height} pixels"
-        )
-    return top, left, bottom, right
-
-
-def default_crop(tags: DngTags, shape: tuple[int, int], path: Path) -> tuple[int, int, int, int]:
-    """Top, left, height, width of the picture within the active area, cut where it would leave it."""
-    origin, size = tags.numbers(tag.CROP_ORIGIN, (0, 0)), tags.numbers(tag.CROP_SIZE, shape[::-1])
-    if origin is None or size is None or origin.size != 2 or size.size != 2:
-        raise InputError(f"{path}: has a damaged DefaultCrop")
-    if not (np.isfinite(origin).all() and np.isfinite(size).all() and (origin >= 0).all()):
-        raise InputError(f"{path}: has a damaged DefaultCrop")
-    left, top = (int(v) for v in np.rint(origin))
-    width, height = (int(v) for v in np.rint(size))
-    height, width = min(height, shape[0] - top), min(width, shape[1] - left)
-    if min(height, width) < 2:
-        raise InputError(
-            f"{path}: has a DefaultCrop outside its active area of {shape[1]} x {shape[0]} pixels"
-        )
-    return top, left, height, width
-
-
-def black_levels(tags: DngTags, shape: tuple[int, int], path: Path) -> np.ndarray:
+def black_levels(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) -> np.ndarray:
     """(H, W) float32 black level of the active area: the repeated cell, plus row and column terms."""
     dims = tags.numbers(tag.BLACK_DIM, (1, 1))
     cell = tags.numbers(tag.BLACK, 0.0)
     assert dims is not None and cell is not None
-    if dims.size != 2 or dims.min() < 1 or dims.max() > 64 or cell.size != dims.prod():
+    if dims.size != 2 or not dims.min() >= 1 or cell.size != dims.prod():
         raise InputError(f"{path}: has a damaged BlackLevel")
     rows, columns = (int(v) for v in dims)
-    repeats = -(-shape[0] // rows), -(-shape[1] // columns)
-    black = np.tile(cell.reshape(rows, columns).astype(np.float32), repeats)[: shape[0], : shape[1]]
+    wide = cell.reshape(rows, columns).astype(np.float32)[: shape[0], np.arange(shape[1]) % columns]
+    black = wide[np.arange(shape[0]) % rows]
     for code, axis in ((tag.BLACK_DELTA_H, 1), (tag.BLACK_DELTA_V, 0)):
         delta = tags.numbers(code)
-        if delta is not None and delta.size == shape[axis]:
+        if delta is None:
+            continue
+        if delta.size == shape[axis]:
             black = black + np.expand_dims(delta.astype(np.float32), 1 - axis)
+        else:
+            name = "BlackLevelDelta" + "VH"[axis]
+            tell(f"its {name} has {delta.size} numbers for {shape[axis]} pixels and is not used")
     if not np.isfinite(black).all():
         raise InputError(f"{path}: has a damaged BlackLevel")
     return black
 
 
-def noise_profile(tags: DngTags) -> np.ndarray | None:
-    """(3, 2): shot and read of R, G, B in `shot * x + read**2`; None where the file states none."""
+def white_level(tags: DngTags, tell: Tell) -> float:
+    """Level of a saturated pixel; the largest code where the file states none that a pixel can have."""
+    table = tags.numbers(tag.LINEARIZATION)
+    if table is not None and (np.diff(table) < 0).any():
+        tell("its LinearizationTable falls: brighter light may have darker pixels")
+    elif table is not None and table.size and table.max() == table.min():
+        tell("its LinearizationTable is of one value: all pixels are alike")
+    largest = 2.0 ** min(tags.raw.get(tag.BITS, 16), 16) - 1
+    if table is not None and table.size:
+        largest = max(largest, float(table.max()))
+    if tags.get(tag.WHITE) is None:
+        return largest
+    white = tags.number(tag.WHITE) or 0.0
+    # one more than the largest code is a slip that does no harm
+    if 0 < white <= largest + 1:
+        return white
+    if largest < white <= _MOST_CODE:
+        tell(f"its WhiteLevel of {white:g} is above all of its pixels, which end at {largest:g}")
+        return white
+    tell(f"its WhiteLevel of {white:g} is not from 1 to {_MOST_CODE}: {largest:g} is taken")
+    return largest
+
+
+def noise_profile(tags: DngTags, tell: Tell) -> np.ndarray | None:
+    """(3, 2): shot and read of R, G, B in `shot * x + read**2`; None where the file states none of use."""
     values = tags.numbers(tag.NOISE_PROFILE)
-    if values is None or values.size not in (2, 6) or not np.isfinite(values).all():
+    if values is None:
+        return None
+    if values.size not in (2, 6):
+        tell(f"its NoiseProfile has {values.size} numbers, expected 2 or 6: not used")
+        return None
+    if not (np.isfinite(values).all() and np.abs(values).max() <= 1 and values[0::2].min() >= 0):
+        tell("its NoiseProfile is not of variances from 0 to 1 (black is 0, white is 1): not used")
         return None
     shot, variance = np.broadcast_to(values.reshape(-1, 2), (3, 2)).T
-    return np.stack([np.maximum(shot, 0), np.sqrt(np.maximum(variance, 0))], axis=1)
+    if variance.min() < 0:
+        tell("its NoiseProfile has negative variances in the dark: 0 is taken")
+    return np.stack([shot, np.sqrt(np.maximum(variance, 0))], axis=1)
 
 
-def lens(tags: DngTags, path: Path) -> dict[str, Any]:
-    """Gain maps, warp and vignetting of the opcode lists."""
-    before, after = (
-        parse_opcodes(tags.get(code) or b"\0\0\0\0", str(path)) for code in (tag.OPCODES_2, tag.OPCODES_3)
-    )
-    return {
-        "gain_map": tuple(o for o in before if isinstance(o, GainMap)) or None,
-        "warp": next((o for o in after if isinstance(o, WarpRectilinear)), None),
-        "vignette": next((o for o in after if isinstance(o, FixVignetteRadial)), None),
-    }
+def baseline_exposure(tags: DngTags, tell: Tell) -> float:
+    """Gain [EV] with which the file is to be rendered: BaselineExposure and its profile's offset."""
+    # 0/0, which is no number, is how some cameras say nothing
+    total = sum(tags.number(code, 0.0) or 0.0 for code in (tag.BASELINE_EXPOSURE, tag.EXPOSURE_OFFSET))
+    if abs(total) <= _MOST_EXPOSURE:
+        return total
+    tell(f"its BaselineExposure of {total:g} EV is beyond {_MOST_EXPOSURE:g} and is not used")
+    return 0.0
 
 
-def neutral(tags: DngTags, calibration: Calibration | None, as_shot: np.ndarray) -> np.ndarray:
-    """What the camera saw of grey, green 1: from the tags, else from LibRaw's gains."""
-    stated, xy = tags.numbers(tag.NEUTRAL), tags.numbers(tag.WHITE_XY)
-    if stated is not None and stated.size == 3 and np.isfinite(stated).all() and stated.min() > 0:
-        return stated / stated[1]
-    if calibration is not None and xy is not None and xy.size == 2 and np.isfinite(xy).all() and xy.min() > 0:
-        seen = neutral_of(calibration, xy)
-        if seen.min() > 0:
-            return seen
-    return 1 / as_shot
+def lens(tags: DngTags, path: Path, tell: Tell) -> dict[str, Any]:
+    """The opcodes of lists 2 and 3 that shade, in order, and the first warp."""
+    shading: list[tuple[Opcode, ...]] = []
+    warps: list[WarpRectilinear] = []
+    for number, code in enumerate((tag.OPCODES_1, tag.OPCODES_2, tag.OPCODES_3), 1):
+        opcodes = parse_opcodes(tags.get(code) or bytes(4), str(path))
+        kept = tuple(o for o in opcodes if number > 1 and shades(o, planes=1 if number == 2 else 3))
+        left = {o.name: None for o in opcodes if not any(o is own for own in kept)}
+        for name in left:
+            tell(f"its OpcodeList{number} has {name}, which is not applied")
+        shading.append(kept)
+        warps += [o for o in opcodes if number > 1 and isinstance(o, WarpRectilinear)]
+    check_gains([o for own in shading for o in own], str(path))
+    return {"opcodes_2": shading[1], "opcodes_3": shading[2], "warp": warps[0] if warps else None}
+
+
+def tell_unused(tags: DngTags, tell: Tell) -> None:
+    """What else the file states of its look and is not applied."""
+    if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
+        tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
+    names = [name for code, name in tag.STATED.items() if tags.get(code)]
+    if names:
+        tell(f"its {', '.join(names)} {'is' if len(names) == 1 else 'are'} not applied")
+    if tags.number(tag.COLORIMETRIC_REFERENCE, 0):
+        tell("its colours are those of a display (ColorimetricReference), read as those of the scene")
+    crop = tags.numbers(tag.USER_CROP)
+    if crop is not None and not np.array_equal(crop, (0, 0, 1, 1)):
+        tell("its DefaultUserCrop is not applied")
+
+
+def default_scale(tags: DngTags, tell: Tell) -> tuple[float, float]:
+    """How much taller and wider the picture is to be rendered, so that its pixels are square."""
+    scale = tags.numbers(tag.DEFAULT_SCALE, (1, 1))
+    if scale is None or scale.size != 2 or not ((scale >= 1 / _MOST_SCALE) & (scale <= _MOST_SCALE)).all():
+        tell(f"its DefaultScale is not two numbers from {1 / _MOST_SCALE:g} to {_MOST_SCALE:g}: not applied")
+        return 1.0, 1.0
+    return float(scale[1]), float(scale[0])
 
 
 def header(tags: DngTags) -> dict[str, Any]:
@@ -154,8 +134,31 @@ def header(tags: DngTags) -> dict[str, Any]:
     orientation = tags.main.get(tag.ORIENTATION, 1)
     return {
         "orientation": orientation if 1 <= orientation <= 8 else 1,
-        "iso": tags.number(tag.ISO) or tags.exif("ISOSpeedRatings") or tags.exif("PhotographicSensitivity"),
-        "exposure_time": tags.number(tag.EXPOSURE_TIME) or tags.exif("ExposureTime"),
+        "iso": _iso(tags),
+        "exposure_time": tags.number(tag.EXPOSURE_TIME) or tags.exif("ExposureTime", rational=True),
         "make": str(tags.main.get(tag.MAKE, "")).strip(),
         "model": str(tags.main.get(tag.MODEL, "")).strip(),
     }
+
+
+def _iso(tags: DngTags) -> float | None:
+    """The speed; where it is more than its tag can say (65535), that which the next tags state.
+
+    Source: EXIF 2.32, PhotographicSensitivity and SensitivityType.
+    """
+    names = ("ISOSpeedRatings", "PhotographicSensitivity")
+    iso = tags.number(tag.ISO) or next(filter(None, map(tags.exif, names)), None)
+    if iso != _MOST_CODE:
+        return iso
+    kind = tags.number(tag.SENSITIVITY_TYPE) or tags.exif("SensitivityType") or 2
+    order = sorted(_SENSITIVITIES, key=lambda code: kind not in _SENSITIVITIES[code][1])
+    stated = (tags.number(code) or tags.exif(_SENSITIVITIES[code][0]) for code in order)
+    return next(filter(None, stated), iso)
+
+
+_SENSITIVITIES = {
+    tag.RECOMMENDED_EXPOSURE_INDEX: ("RecommendedExposureIndex", (2, 4, 6, 7)),
+    tag.STANDARD_OUTPUT_SENSITIVITY: ("StandardOutputSensitivity", (1, 4, 5, 7)),
+    tag.ISO_SPEED: ("ISOSpeed", (3, 5, 6, 7)),
+}
+"""Of each tag its name and the SensitivityTypes that say that it is stated."""

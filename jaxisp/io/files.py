@@ -1,13 +1,16 @@
 """Files on disk: checks before reading, whole-or-nothing writing, finding images, reading TOML."""
 
 import contextlib
-import fcntl
+import errno
+import io
+import json
 import os
 import secrets
+import stat
 import tempfile
 import tomllib
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,8 +22,12 @@ MOST_PIXELS = 1 << 28
 """Of a picture; phones make 200 million."""
 FREE_PIXELS = 1 << 24
 """Pictures up to this many pixels are read however small their files are."""
-MOST_TOML = 16 << 20
-"""Bytes: a larger TOML file is not read."""
+MOST_TEXT = 16 << 20
+"""Bytes: a larger text of anybody's is not read."""
+MOST_NOTES = 1 << 30
+"""Bytes: the same of what we note of our own work, as of all inputs."""
+MOST_NAME = 255
+"""Bytes of a file's name, on most file systems."""
 MOST_NESTED = 100
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 
@@ -41,40 +48,110 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be written: {reason(error)}") from error
 
 
-def check_file(path: PathLike) -> Path:
-    """Return the path; raise InputError where it is no readable file with something in it."""
+def sound_path(path: PathLike) -> Path:
+    """The path; InputError where it cannot be one, or where no text that names it could be written."""
     path = Path(path)
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder, expected a file")
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise InputError(f"{path}: is empty (0 bytes)")
+        text = str(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: its name is not UTF-8; rename it") from error
+    if b"\0" in text:
+        raise InputError(f"{path}: has a NUL in its name, which no file can have")
+    return path
+
+
+def kind_of(mode: int) -> str:
+    """What a file is by its mode, as it may stand in an error; "" for a plain one."""
+    kinds = {
+        stat.S_IFDIR: "a folder", stat.S_IFLNK: "a link", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket",
+        stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
+    }  # fmt: skip
+    return "" if stat.S_ISREG(mode) else kinds.get(stat.S_IFMT(mode), "no plain file")
+
+
+def open_input(path: PathLike) -> io.BufferedReader:
+    """Open a plain file to be read: what all inputs are opened by.
+
+    Nothing else is opened at all: a FIFO waits for its writer, a device may have no end, or do something.
+
+    Raises:
+        InputError: it cannot be read, or is no plain file.
+    """
+    path = sound_path(path)
+    with _reading(path):
+        _check_plain(path, os.stat(path).st_mode)
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
+        try:
+            _check_plain(path, os.fstat(file.fileno()).st_mode)  # another may stand there by now
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+
+def _check_plain(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        os.scandir(path).close()  # says why it was not listed
+    if kind := kind_of(mode):
+        raise InputError(f"{path}: is {kind}, expected a file")
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+
+
+def check_file(path: PathLike) -> Path:
+    """Return the path; raise InputError where it is no readable plain file with something in it."""
+    path = Path(path)
+    with open_input(path) as file, _reading(path):
+        if not file.read(1):
+            raise InputError(f"{path}: is empty (0 bytes)")
     return path
 
 
 def read_bytes(path: PathLike) -> bytes:
     """The whole file; InputError where it cannot be read or is empty."""
     path = check_file(path)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+    with open_input(path) as file, _reading(path):
+        return file.read()
 
 
 def read_toml(path: PathLike) -> dict[str, Any]:
     """A TOML file as a dict; InputError with the file and the line where it is not valid."""
+    return parse_toml(read_text(path), str(path))
+
+
+def read_json(path: PathLike) -> dict[str, Any]:
+    """A table in JSON as a dict; InputError where it is none."""
+    return parse_json(read_text(path, MOST_NOTES), str(path))
+
+
+def read_text(path: PathLike, most: int = MOST_TEXT) -> str:
+    """A file of UTF-8 text of at most so many bytes; it may be empty."""
     path = Path(path)
+    with open_input(path) as file, _reading(path):
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise InputError(f"{path}: is larger than {most >> 20} MiB, which no text of ours is")
     try:
-        if path.stat().st_size > MOST_TOML:
-            raise InputError(f"{path}: is larger than {MOST_TOML >> 20} MiB, which no TOML file of ours is")
-        return parse_toml(path.read_text(encoding="utf-8"), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+        return data.decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text") from error
+
+
+def parse_json(text: str, name: str) -> dict[str, Any]:
+    """JSON from anybody as a dict; InputError that begins with `name` where it is not valid, or no table."""
+    try:
+        table = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: is damaged ({one_line(error)})") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{name}: is damaged (expected a table)")
+    return table
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
@@ -144,28 +221,31 @@ def check_pixels(width: int, height: int, size: int, name: str, *, bytes_each: i
 
 @contextlib.contextmanager
 def atomic_write(path: PathLike) -> Iterator[IO[bytes]]:
-    """A binary file that takes its name only once it is whole.
+    """A binary file that takes its name only once it is whole: what all outputs are written by.
 
-    The bytes go to a temporary file in the same folder, which is flushed to the disk and then
-    renamed. On any error it is removed, and what stood under the name before still stands. What a
-    killed process left of it is used again.
+    The bytes go to a file without a name, which is flushed to the disk and then named. On any error, and
+    where the process is killed, nothing is left of it, and what stood under the name before still stands.
+    File systems that know no such files (NFS) get a temporary name, which a killed process leaves.
 
     Raises:
-        InputError: the folder does not exist, cannot be written, or is full.
+        InputError: the folder does not exist, cannot be written, or is full; or a link, a folder or a device
+            stands there, which are not replaced.
     """
-    path = Path(path)
-    temporary: Path | None = None
+    path, temporary = sound_path(path), None
     try:
-        temporary, file = _temporary(path)
+        with writing(path):
+            _check_replaceable(path)
+            file, temporary = _unnamed(path.parent)
         with file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
-            os.replace(temporary, path)
+            with writing(path):
+                os.fsync(file.fileno())
+                _check_replaceable(path)
+                _give_name(file, temporary, path)
     except OSError as error:
         _remove(temporary)
-        ours = str(path.with_name(f".{path.name}."))
-        if error.filename is not None and not str(error.filename).startswith(ours):
+        if error.filename is not None:
             raise  # the caller's own trouble with another file
         raise InputError(f"{path}: cannot be written: {reason(error)}") from error
     except BaseException:
@@ -174,28 +254,79 @@ def atomic_write(path: PathLike) -> Iterator[IO[bytes]]:
 
 
 def write_text(path: PathLike, text: str) -> None:
-    """A whole file of UTF-8 text; see `atomic_write`."""
+    """A whole file of UTF-8 text, with what is none in names as `\\udcff`; see `atomic_write`."""
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))
 
 
-def _temporary(path: Path) -> tuple[Path, IO[bytes]]:
-    """`.NAME.tmp`, empty and locked; where it is another's, or cannot be locked, a name of its own."""
-    usual = path.with_name(f".{path.name}.tmp")
-    with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
-        file = stack.enter_context(open(usual, "r+b", opener=_make_or_open))
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(file.fileno()), usual.stat()):  # not renamed by its writer meanwhile
-            file.truncate(0)
-            stack.pop_all()
-            return usual, file
-    own = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    return own, own.open("xb")
+def write_new(path: PathLike, text: str, own: Callable[[str], bool] = lambda before: False) -> None:
+    """`write_text` for what is written beside the outputs that a call names: it replaces only its own.
+
+    Raises:
+        InputError: another text stands there, which is not one that `own` tells to be ours.
+    """
+    check_new(path, text, own)
+    write_text(path, text)
 
 
-def _make_or_open(path: str, flags: int) -> int:
-    """Without emptying it, and no link that somebody put there."""
-    return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+def check_new(path: PathLike, text: str, own: Callable[[str], bool] = lambda before: False) -> None:
+    """Raise InputError where `write_new` would."""
+    if os.path.lexists(path):
+        before = read_text(path)
+        if before != text and not own(before):
+            raise InputError(f"{path}: stands there already and would be replaced; choose another folder")
+
+
+def _check_replaceable(path: Path) -> None:
+    """Raise where something else than a plain file stands."""
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if kind := kind_of(mode):
+        raise InputError(f"{path}: cannot be written: is {kind}, which is not replaced")
+
+
+def _unnamed(folder: Path) -> tuple[IO[bytes], Path | None]:
+    """An empty file in a folder, and its name where it has to have one."""
+    with contextlib.suppress(OSError, AttributeError):
+        descriptor = os.open(folder, os.O_TMPFILE | os.O_RDWR, 0o666)
+        if os.path.exists(_numbered(descriptor)):
+            return open(folder, "r+b", opener=lambda *_: descriptor), None  # libraries ask for a name
+        os.close(descriptor)
+    named = _own_name(folder)
+    return named.open("x+b"), named
+
+
+def _give_name(file: IO[bytes], temporary: Path | None, path: Path) -> None:
+    """Rename a file, or link one that has no name; a link replaces nothing by itself."""
+    if temporary is None:
+        try:
+            _link(file, path)
+            return
+        except FileExistsError:
+            temporary = _own_name(path.parent)
+            _link(file, temporary)
+    try:
+        os.replace(temporary, path)
+    except BaseException:
+        _remove(temporary)
+        raise
+
+
+def _link(file: IO[bytes], path: Path) -> None:
+    # with a descriptor, which an absolute path does not need, Python asks the system to follow the link
+    os.link(_numbered(file.fileno()), path, src_dir_fd=file.fileno(), follow_symlinks=True)
+
+
+def _numbered(descriptor: int) -> str:
+    return f"/proc/self/fd/{descriptor}"
+
+
+def _own_name(folder: Path) -> Path:
+    return folder / f".{secrets.token_hex(8)}.tmp"
 
 
 def _remove(path: Path | None) -> None:
@@ -206,7 +337,7 @@ def _remove(path: Path | None) -> None:
 
 def output_folder(path: PathLike) -> Path:
     """Make a folder (and those above it); InputError where nothing can be written into it."""
-    path = Path(path)
+    path = sound_path(path)
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
@@ -228,26 +359,69 @@ def filled_folder(path: PathLike) -> Iterator[Path]:
         raise
 
 
-def output_file(path: PathLike) -> Path:
-    """Make the folder of a file that is to be written; InputError where it cannot be."""
-    path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected the name of a file")
+def output_file(path: PathLike, inputs: Iterable[PathLike] = ()) -> Path:
+    """Make the folder of a file that is to be written.
+
+    Raises:
+        InputError: it cannot be written, it is one of the inputs, or something stands there that is not
+            replaced.
+    """
+    path = check_output(path, real_paths(inputs))
     output_folder(path.parent)
     return path
 
 
-def list_folder(folder: PathLike, *, recursive: bool = False) -> list[Path]:
-    """The visible files of a folder, sorted; InputError where it cannot be listed."""
-    folder = Path(folder)
-    try:
-        if not folder.is_dir():
-            what = "is a file" if folder.exists() else "no such folder"
-            raise InputError(f"{folder}: {what}, expected a folder")
-        found = sorted(folder.rglob("*") if recursive else folder.iterdir())
-        return [p for p in found if not _hidden(p.relative_to(folder)) and p.is_file()]
-    except OSError as error:
+def check_output(path: PathLike, inputs: Container[str] = ()) -> Path:
+    """A file that may be written; InputError where it is an input, by `real_paths`, or no file."""
+    path = sound_path(path)
+    if os.path.isdir(path):
+        raise InputError(f"{path}: is a folder, expected the name of a file")
+    with writing(path):
+        _check_replaceable(path)
+    if os.path.realpath(path) in inputs:
+        raise InputError(f"{path}: is an input, and would be overwritten by a result")
+    return path
+
+
+def real_paths(paths: Iterable[PathLike]) -> frozenset[str]:
+    """Paths without links, for `check_output`."""
+    return frozenset(os.path.realpath(path) for path in paths if "\0" not in str(path))
+
+
+@contextlib.contextmanager
+def filled_file(path: PathLike, inputs: Iterable[PathLike] = ()) -> Iterator[Path]:
+    """`output_file` for what is written at the end; see `filled_folder`."""
+    with filled_folder(Path(path).parent):
+        yield output_file(path, inputs)
+
+
+def list_folder(folder: PathLike) -> list[Path]:
+    """The visible files of a folder, plain or not, sorted; InputError where it cannot be listed."""
+    folder = sound_path(folder)
+    if not os.path.isdir(folder):
+        what = "is a file" if os.path.lexists(folder) else "no such folder"
+        raise InputError(f"{folder}: {what}, expected a folder")
+    files, closed = _walk(folder, recursive=False)
+    for error in closed:
         raise InputError(f"{folder}: cannot be read: {reason(error)}") from error
+    return files
+
+
+def files_below(path: Path) -> list[Path]:
+    """All files of a folder and those below it, hidden ones too, sorted; or the file itself."""
+    if not os.path.isdir(path):
+        return [path] if os.path.lexists(path) else []
+    return sorted(Path(base, name) for base, _, names in os.walk(path) for name in names)
+
+
+def _walk(folder: Path, *, recursive: bool) -> tuple[list[Path], list[OSError]]:
+    """The visible files of a folder, sorted, and what kept folders from being listed."""
+    files: list[Path] = []
+    closed: list[OSError] = []
+    for base, folders, names in os.walk(folder, onerror=closed.append):
+        folders[:] = [name for name in folders if recursive and not name.startswith(".")]
+        files += [Path(base, name) for name in names if not name.startswith(".")]
+    return sorted(files), closed
 
 
 def find_images(paths: PathLike | Iterable[PathLike], *, recursive: bool = False) -> list[Path]:
@@ -258,33 +432,45 @@ def find_images(paths: PathLike | Iterable[PathLike], *, recursive: bool = False
         recursive: look into folders of folders too.
 
     Returns:
-        Each file once: in the order given, the files of a folder sorted.
+        Each file once: in the order given, the files of a folder sorted. What cannot be read is among them,
+        so that it is told where it is read, and the rest goes on; so are folders that cannot be listed.
 
     Raises:
-        InputError: a path does not exist, is not an image, or is a folder without images.
+        InputError: a folder holds no images, or none of the files can be used.
     """
     given = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     if not given:
         raise InputError("no input files given, expected images or folders of images")
     found: dict[Path, None] = {}
     for path in map(Path, given):
-        if path.is_dir():
-            images = [p for p in list_folder(path, recursive=recursive) if is_image(p)]
+        if os.path.isdir(path):
+            files, closed = _walk(path, recursive=recursive)
+            images = [p for p in files if is_image(p)] + [Path(error.filename) for error in closed]
             if not images:
                 raise InputError(f"{path}: holds no images ({', '.join(IMAGE_SUFFIXES)})")
             found.update(dict.fromkeys(images))
-        elif not is_image(path) and path.exists():
-            raise InputError(f"{path}: is not an image jaxisp reads ({', '.join(IMAGE_SUFFIXES)})")
         else:
-            found[check_file(path)] = None
+            found[path] = None
+    _check_some(list(found))
     return list(found)
+
+
+def _check_some(paths: list[Path]) -> None:
+    """Raise the first one's InputError where none can be used."""
+    first: InputError | None = None
+    for path in paths:
+        try:
+            check_file(path)
+            if not is_image(path):
+                raise InputError(f"{path}: is not an image jaxisp reads ({', '.join(IMAGE_SUFFIXES)})")
+            return
+        except InputError as error:
+            first = first or error
+    if first:
+        raise first
 
 
 def is_image(path: PathLike) -> bool:
     """Whether the name is one of a picture (a `.raw.npy` is a mosaic)."""
     name = Path(path).name.lower()
     return name.endswith(IMAGE_SUFFIXES) and not name.endswith(".raw.npy")
-
-
-def _hidden(path: Path) -> bool:
-    return any(part.startswith(".") for part in path.parts)

@@ -1,7 +1,6 @@
 """Pictures: clean photographs in, results out."""
 
 import io
-import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ from PIL import Image
 
 from jaxisp.checks import check_finite
 from jaxisp.errors import InputError
+from jaxisp.io.color_space import SRGB_PRIMARIES, ColorSpace
+from jaxisp.io.exif import exif_in, exif_of
 from jaxisp.io.files import (
     IMAGE_SUFFIXES,
     PathLike,
@@ -21,8 +22,11 @@ from jaxisp.io.files import (
     load_npy,
     read_bytes,
 )
-from jaxisp.io.jpeg import Jpeg, decode_jpeg, orientation_of, profile_to_srgb, to_bytes, why_not
+from jaxisp.io.icc import by_tables, profile_space
+from jaxisp.io.jpeg import Jpeg, decode_jpeg, to_bytes, why_not
 from jaxisp.io.orientation import orient
+from jaxisp.io.png_color import color_chunks, png_space
+from jaxisp.io.silence import silent_libraries
 from jaxisp.io.tags import quiet_tifffile
 
 _MODES = {
@@ -48,10 +52,12 @@ def read_image(path: PathLike, *, linear: bool = False) -> np.ndarray:
 
     Returns:
         (H, W, 3) float32 in [0, 1] (unless it is linear), as encoded, upright, converted to sRGB where the
-        file has another colour profile (8-bit files; NPY has none).
+        file states another colour space: by a profile, in EXIF (Adobe RGB), in the chunks of a PNG. Colours
+        are cut to sRGB's gamut. Linear light is converted to sRGB's primaries.
 
     Raises:
-        InputError: it cannot be read, is damaged, or is another kind of picture.
+        InputError: it cannot be read, is damaged, or is another kind of picture; it states a colour space
+            that is not converted.
     """
     return read_with_header(path, linear=linear)[0]
 
@@ -73,7 +79,7 @@ def _read_lossless(path: Path, data: bytes, linear: bool) -> np.ndarray:
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _read_tiff(path, data, linear)
     if data[:8] == b"\x89PNG\r\n\x1a\n":
-        return _read_png(path, data)
+        return _read_png(path, data, linear)
     raise InputError(f"{path}: is not a picture jaxisp reads ({', '.join(IMAGE_SUFFIXES)}), or a damaged one")
 
 
@@ -88,13 +94,20 @@ def write_png(path: PathLike, image: np.ndarray) -> None:
         Image.fromarray(pixels).save(file, "PNG")
 
 
-def _read_png(path: Path, data: bytes) -> np.ndarray:
+def _read_png(path: Path, data: bytes, linear: bool) -> np.ndarray:
     if len(data) > 24 and data[12:16] == b"IHDR" and data[24] == 16:
         raise InputError(f"{path}: is a 16-bit PNG, expected 8 bits (or a 16-bit TIFF)")
-    return _read_pillow(path, data, "PNG")
+    picture = _opened(path, data, "PNG")
+    pixels, exif = _rgb(picture, path), exif_of(picture)
+    try:
+        space, icc = png_space(color_chunks(data))
+    except ValueError as error:
+        raise InputError(f"{path}: states its colours by {error}") from error
+    space = exif.space if space is None and icc is None else space
+    return _upright(_in_srgb(pixels, space, icc, path, linear), exif.orientation)
 
 
-def _read_pillow(path: Path, data: bytes, kind: str) -> np.ndarray:
+def _opened(path: Path, data: bytes, kind: str) -> Any:
     """An 8-bit file through Pillow, which reads deeper ones as 8-bit without a word: check before."""
     try:
         with warnings.catch_warnings():
@@ -102,27 +115,39 @@ def _read_pillow(path: Path, data: bytes, kind: str) -> np.ndarray:
             picture = Image.open(io.BytesIO(data), formats=(kind,))
             check_pixels(*picture.size, len(data), str(path))
             picture.load()
-            orientation = orientation_of(picture.getexif())
     except InputError:
         raise
     except Image.DecompressionBombError as error:
         raise InputError(f"{path}: says it is larger than any camera's picture; it is damaged") from error
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        struct.error,
-        EOFError,
-        MemoryError,
-        KeyError,
-        TypeError,
-    ) as error:
+    except Exception as error:  # a parser on arbitrary bytes: any error means the same
         raise InputError(f"{path}: is a damaged or truncated {kind} ({why_not(error)})") from error
-    pixels = _rgb(picture, path)
-    icc = picture.info.get("icc_profile")
-    if icc:
-        pixels, _ = profile_to_srgb(pixels, icc, str(path))
-    return np.ascontiguousarray(orient(pixels, orientation).astype(np.float32) / np.float32(255))
+    return picture
+
+
+def _in_srgb(
+    pixels: np.ndarray, space: ColorSpace | None, icc: bytes | None, path: Path, linear: bool
+) -> np.ndarray:
+    """(H, W, 3) float32 in sRGB of pixels in the colour space of a file, stated or by its profile.
+
+    Linear light is brought to sRGB's primaries, whatever curve the profile has.
+    """
+    if icc is not None:
+        space = profile_space(icc, str(path))
+        if space is None and (linear or pixels.dtype != np.uint8):
+            raise InputError(
+                f"{path}: has a colour profile made of tables, which is applied to encoded 8-bit pictures "
+                "alone; expected one of a matrix and curves, or sRGB"
+            )
+        if space is None:
+            pixels = by_tables(pixels, icc, str(path))
+    whole = pixels.dtype in (np.uint8, np.uint16)
+    if space is None or space.is_srgb or not whole:
+        pixels = _to_unit(pixels, path, str(pixels.dtype), linear)
+    return pixels if space is None or space.is_srgb else space.srgb(pixels, linear=linear)
+
+
+def _upright(image: np.ndarray, orientation: int) -> np.ndarray:
+    return np.ascontiguousarray(orient(image, orientation))
 
 
 def _rgb(picture: Any, path: Path) -> np.ndarray:
@@ -137,13 +162,16 @@ def _rgb(picture: Any, path: Path) -> np.ndarray:
     raise InputError(f"{path}: is {_MODES.get(picture.mode, picture.mode)}, expected an RGB picture")
 
 
+_PROFILE, _CHROMATICITIES = _COLOR_TAGS = 34675, 319
+
+
 def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
     try:
         with quiet_tifffile(), tifffile.TiffFile(io.BytesIO(data)) as tif:
             page: Any = tif.pages[0]
             kind, bits, samples = page.dtype, page.bitspersample, page.samplesperpixel
             photometric, deep = int(page.photometric), page.dtype is not None and page.dtype.itemsize > 1
-            orientation = int(page.tags[274].value) if 274 in page.tags else 1
+            icc, corners = (page.tags[code].value if code in page.tags else None for code in _COLOR_TAGS)
             whole = kind is not None and bits == 8 * kind.itemsize
             wanted = deep and whole and photometric == 2 and samples == 3 and len(page.shape) == 3
             if wanted:
@@ -157,18 +185,37 @@ def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
         raise InputError(
             f"{path}: is a damaged or truncated TIFF, or compressed in a way not read here"
         ) from error
+    exif = exif_in(data)
+    orientation = exif.orientation
     if not deep and bits == 8:
-        return _read_pillow(path, data, "TIFF")
+        with silent_libraries():  # libtiff says of damaged files what it finds
+            picture = _opened(path, data, "TIFF")
+        pixels, orientation = _rgb(picture, path), exif_of(picture).orientation  # 1: Pillow turns a TIFF
+    elif pixels is not None and page.planarconfig == 2:
+        pixels = np.moveaxis(pixels, 0, -1)
     if pixels is None:
         raise InputError(
             f"{path}: is a TIFF of {samples} samples of {bits} bits, expected RGB of 8 or 16 bits"
         )
-    if page.planarconfig == 2:
-        pixels = np.moveaxis(pixels, 0, -1)
     if pixels.shape[-1] != 3 or 0 in pixels.shape:
         raise InputError(f"{path}: is a TIFF of shape {pixels.shape}, expected (H, W, 3)")
-    scaled = _to_unit(pixels, path, str(kind), linear)
-    return np.ascontiguousarray(orient(scaled, orientation if 1 <= orientation <= 8 else 1))
+    _check_color_tags(icc, corners if exif.space is None else None, path)
+    return _upright(_in_srgb(pixels, exif.space, icc or None, path, linear), orientation)
+
+
+def _check_color_tags(icc: Any, corners: Any, path: Path) -> None:
+    """Raise InputError where the profile is none, or there is none and the primaries are not sRGB's."""
+    if icc is not None and not isinstance(icc, bytes):
+        raise InputError(f"{path}: has a damaged colour profile (tag {_PROFILE} holds no bytes)")
+    if icc or corners is None:
+        return
+    numbers = np.ravel(corners).astype(float)
+    stated = numbers[0::2] / np.maximum(numbers[1::2], 1) if numbers.size == 12 else np.zeros(6)
+    if np.abs(stated - np.ravel(SRGB_PRIMARIES)).max() > 0.01:
+        raise InputError(
+            f"{path}: states other primaries than sRGB's (tag {_CHROMATICITIES}) and has no colour profile, "
+            "expected one"
+        )
 
 
 def _read_npy(path: Path, linear: bool) -> np.ndarray:

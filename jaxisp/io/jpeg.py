@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from jaxisp.errors import InputError
+from jaxisp.io.color_space import ColorSpace
+from jaxisp.io.exif import exif_of, new_exif
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
+from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
+from jaxisp.io.silence import silent_libraries
 from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
                 0xCB: "lossless"}  # fmt: skip
-_ORIENTATION, _MAKE, _MODEL, _EXIF_IFD, _ISO = 274, 271, 272, 34665, 34855
 
 
 @dataclass(frozen=True)
@@ -27,26 +30,37 @@ class Jpeg:
 
     Args:
         pixels: (H, W, 3) uint8 as stored, before `orientation`; sRGB where there was a profile.
-        luma_table, chroma_table: (8, 8) quantisation steps, rows are vertical frequencies.
+        tables: (3, 8, 8) quantisation steps of the components, rows are vertical frequencies.
         subsampling: "4:4:4", "4:2:2", "4:2:0", "4:4:0", "4:1:1", "4:1:0", or the factors as "2x2,1x1,...".
         orientation: EXIF 1 to 8.
         icc: the colour profile as it stands in the file, or None.
-        converted: whether the pixels were converted from `icc` to sRGB.
+        converted: whether the pixels were converted to sRGB, from `icc` or what else the file states.
         color_space: "YCbCr", or "RGB" where the file stores it without a luma.
+        iso: None where it is not stated.
+        space: what the pixels were converted from; None of sRGB, and of profiles made of tables.
     """
 
     pixels: np.ndarray
-    luma_table: np.ndarray
-    chroma_table: np.ndarray
+    tables: np.ndarray
     subsampling: str
     orientation: int
     icc: bytes | None
     converted: bool
     color_space: str
-    progressive: bool
     iso: float | None
     make: str
     model: str
+    space: ColorSpace | None = None
+
+    @property
+    def luma_table(self) -> np.ndarray:
+        """(8, 8) the first component's."""
+        return self.tables[0]
+
+    @property
+    def chroma_table(self) -> np.ndarray:
+        """(8, 8) the second component's; the third may have another."""
+        return self.tables[1]
 
     @property
     def image(self) -> np.ndarray:
@@ -70,10 +84,12 @@ def read_jpeg(path: PathLike, *, to_srgb: bool = True) -> Jpeg:
 
     Args:
         path: the file.
-        to_srgb: convert pixels with another colour profile to sRGB (relative colorimetric).
+        to_srgb: convert pixels of another colour space, stated by a profile or by EXIF, to sRGB (relative
+            colorimetric, cut to its gamut).
 
     Raises:
-        InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep.
+        InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep; its profile
+            cannot be used.
     """
     return decode_jpeg(read_bytes(path), str(path), to_srgb=to_srgb)
 
@@ -90,21 +106,21 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     check_pixels(frame.width, frame.height, len(data), name)
     picture, pixels = _decode(data, name)
     icc = picture.info.get("icc_profile")
-    converted = False
-    if icc and to_srgb:
-        pixels, converted = profile_to_srgb(pixels, icc, name)
-    luma, chroma = _tables(picture, name)
-    exif = _exif(picture)
+    exif, converted, space = exif_of(picture), False, None
+    if to_srgb:
+        pixels, converted, space = _in_srgb(pixels, icc, exif.space, name)
     return Jpeg(
         pixels=pixels,
-        luma_table=luma,
-        chroma_table=chroma,
+        tables=_tables(picture, name),
         subsampling=frame.subsampling,
         icc=icc,
         converted=converted,
         color_space=_color_space(frame, picture),
-        progressive=frame.marker in (0xC2, 0xCA),
-        **exif,
+        orientation=exif.orientation,
+        iso=exif.iso,
+        make=exif.make,
+        model=exif.model,
+        space=space,
     )
 
 
@@ -131,7 +147,7 @@ def _decode(data: bytes, name: str) -> tuple[Any, np.ndarray]:
             picture.load()
     except Image.DecompressionBombError as error:
         raise InputError(f"{name}: says it is larger than any camera's picture; it is damaged") from error
-    except (OSError, ValueError, SyntaxError, struct.error, MemoryError) as error:
+    except Exception as error:  # a parser on arbitrary bytes: any error means the same
         raise InputError(f"{name}: is a damaged or truncated JPEG ({why_not(error)})") from error
     if picture.mode != "RGB":
         raise InputError(f"{name}: is a {picture.mode} JPEG, expected RGB")
@@ -139,16 +155,21 @@ def _decode(data: bytes, name: str) -> tuple[Any, np.ndarray]:
 
 
 def why_not(error: Exception) -> str:
-    """What Pillow says, without the address of the object that it was given."""
-    return "its header cannot be read" if isinstance(error, UnidentifiedImageError) else str(error)
+    """What Pillow says where it means to say it, without the address of the object that it was given."""
+    said = isinstance(error, (OSError, ValueError, SyntaxError)) and str(error)
+    return said if said and not isinstance(error, UnidentifiedImageError) else "a part of it cannot be read"
 
 
-def _tables(picture: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _tables(picture: Any, name: str) -> np.ndarray:
     try:
-        luma, chroma = (picture.quantization[picture.layer[i][3]] for i in (0, 1))
-    except (KeyError, IndexError) as error:
+        tables = np.array([picture.quantization[picture.layer[i][3]] for i in range(3)]).reshape(3, 8, 8)
+    except (KeyError, IndexError, ValueError) as error:
         raise InputError(f"{name}: is a damaged JPEG (a quantisation table is missing)") from error
-    return np.array(luma).reshape(8, 8), np.array(chroma).reshape(8, 8)
+    if tables.min() < 1:
+        raise InputError(
+            f"{name}: is a damaged JPEG (a quantisation step of {tables.min()}, expected 1 or more)"
+        )
+    return tables
 
 
 def _color_space(frame: Frame, picture: Any) -> str:
@@ -156,47 +177,18 @@ def _color_space(frame: Frame, picture: Any) -> str:
     return "RGB" if transform == 0 or (transform is None and bytes(frame.ids) == b"RGB") else "YCbCr"
 
 
-def _exif(picture: Any) -> dict[str, Any]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            exif = picture.getexif()
-            inner = exif.get_ifd(_EXIF_IFD)
-    except Exception:  # damaged EXIF costs the picture nothing
-        exif, inner = {}, {}
-    iso = inner.get(_ISO)
-    iso = iso[0] if isinstance(iso, tuple) and iso else iso
-    return {
-        "orientation": orientation_of(exif),
-        "iso": float(iso) if isinstance(iso, (int, float)) and iso > 0 else None,
-        "make": _text(exif.get(_MAKE)),
-        "model": _text(exif.get(_MODEL)),
-    }
-
-
-def orientation_of(exif: Any) -> int:
-    """EXIF orientation, 1 where there is none or it is not 1 to 8."""
-    value = exif.get(_ORIENTATION)
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
-def _text(value: Any) -> str:
-    return value.replace("\0", " ").strip() if isinstance(value, str) else ""
-
-
-def profile_to_srgb(pixels: np.ndarray, icc: bytes, name: str) -> tuple[np.ndarray, bool]:
-    """(H, W, 3) uint8 pixels in sRGB, and whether they had to be changed."""
-    try:
-        profile = ImageCms.getOpenProfile(io.BytesIO(icc))
-        if "srgb" in ImageCms.getProfileDescription(profile).lower():
-            return pixels, False
-        transform = ImageCms.buildTransform(
-            profile, ImageCms.createProfile("sRGB"), "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
-        )
-        out = ImageCms.applyTransform(Image.fromarray(pixels), transform)
-    except (ImageCms.PyCMSError, OSError, ValueError) as error:
-        raise InputError(f"{name}: has a colour profile that cannot be used ({error})") from error
-    return np.asarray(out), True
+def _in_srgb(
+    pixels: np.ndarray, icc: bytes | None, stated: ColorSpace | None, name: str
+) -> tuple[np.ndarray, bool, ColorSpace | None]:
+    """Pixels in sRGB, whether they had to be changed, and from which space where that is no table."""
+    space = profile_space(icc, name) if icc else stated
+    if space is None and icc:
+        return by_tables(pixels, icc, name), True, None
+    if space is None or space.is_srgb:
+        return pixels, False, None
+    found = space.srgb(pixels)
+    np.rint(np.multiply(found, 255, out=found), out=found)
+    return found.astype(np.uint8), True, space
 
 
 def write_jpeg(
@@ -207,7 +199,7 @@ def write_jpeg(
     subsampling: str = "4:2:0",
     qtables: Sequence[np.ndarray] | None = None,
     orientation: int = 1,
-    iso: int | None = None,
+    iso: float | None = None,
     make: str = "",
     model: str = "",
 ) -> None:
@@ -218,22 +210,19 @@ def write_jpeg(
         image: (H, W, 3) uint8, or encoded float in [0, 1] that is rounded.
         quality: 1 to 100, for libjpeg's own tables.
         subsampling: "4:4:4", "4:2:2" or "4:2:0".
-        qtables: luma and chroma (8, 8) tables in place of those.
+        qtables: luma and chroma (8, 8) tables in place of those, or one for each component; steps from 1 to
+            65535.
         orientation, iso, make, model: for the EXIF.
 
     Raises:
-        InputError: NaN in the image, or the file cannot be written.
+        InputError: NaN in the image, an ISO over 4294967295, or the file cannot be written.
     """
-    data = encode_jpeg(
-        to_bytes(image, str(path)),
-        quality,
-        subsampling,
-        qtables,
-        orientation=orientation,
-        iso=iso,
-        make=make,
-        model=model,
-    )
+    pixels = to_bytes(image, str(path))
+    about: dict[str, Any] = {"orientation": orientation, "iso": iso, "make": make, "model": model}
+    try:
+        data = encode_jpeg(pixels, quality, subsampling, qtables, **about)
+    except InputError as error:
+        raise InputError(f"{path}: not written: {error}") from error
     with atomic_write(path) as file:
         file.write(data)
 
@@ -245,24 +234,21 @@ def encode_jpeg(
     qtables: Sequence[np.ndarray] | None = None,
     *,
     orientation: int = 1,
-    iso: int | None = None,
+    iso: float | None = None,
     make: str = "",
     model: str = "",
 ) -> bytes:
     """The bytes of a JPEG of (H, W, 3) uint8 pixels; see `write_jpeg`."""
     if subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
         raise ValueError(f"subsampling {subsampling!r} is not one of 4:4:4, 4:2:2, 4:2:0")
-    exif = Image.Exif()
-    values = {_ORIENTATION: orientation, _MAKE: make, _MODEL: model}
-    exif.update({code: value for code, value in values.items() if value})
-    if iso:
-        exif.get_ifd(_EXIF_IFD)[_ISO] = int(iso)
+    exif = new_exif(orientation, iso, make, model)
     options: dict[str, Any] = {"quality": quality, "subsampling": subsampling, "exif": exif}
     if qtables is not None:
         options["qtables"] = [np.asarray(t).astype(int).ravel().tolist() for t in qtables]
         del options["quality"]
     out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "JPEG", **options)
+    with silent_libraries():  # libjpeg's word on steps over 255
+        Image.fromarray(pixels).save(out, "JPEG", **options)
     return out.getvalue()
 
 

@@ -12,13 +12,14 @@ from jaxisp.cfa import PATTERNS
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, check_file, check_pixels
 from jaxisp.io.jpeg_frame import frame_header
+from jaxisp.io.silence import silent_libraries
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """rawpy on the file; what LibRaw raises becomes one line."""
     try:
-        with rawpy.imread(str(path)) as raw:
+        with silent_libraries(), rawpy.imread(str(path)) as raw:
             yield raw
     except (rawpy.LibRawError, rawpy.NotSupportedError, NotImplementedError, MemoryError) as error:
         text = error.args[0] if error.args else type(error).__name__
@@ -26,8 +27,8 @@ def opened(path: Path) -> Iterator[Any]:
         raise InputError(f"{path}: LibRaw cannot read it: {text.lower()}") from error
 
 
-def check_bayer(raw: Any, path: Path) -> str:
-    """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
+def check_mosaic(raw: Any, path: Path) -> None:
+    """InputError where LibRaw says that its pixels are not of one colour each."""
     sizes = raw.sizes
     check_pixels(sizes.raw_width, sizes.raw_height, path.stat().st_size, str(path), bytes_each=2)
     if raw.num_colors == 1:
@@ -36,6 +37,11 @@ def check_bayer(raw: Any, path: Path) -> str:
         raise InputError(
             f"{path}: holds full-colour pixels (linear, sRAW or Foveon), expected a Bayer mosaic"
         )
+
+
+def check_bayer(raw: Any, path: Path) -> str:
+    """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
+    check_mosaic(raw, path)
     pattern, names = raw.raw_pattern, raw.color_desc.decode()
     if pattern is not None and pattern.shape == (6, 6):
         raise InputError(f"{path}: is an X-Trans RAW, expected a Bayer mosaic")

@@ -4,15 +4,22 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
 from jaxisp.errors import InputError
 
 _WARP_RECTILINEAR, _FIX_VIGNETTE_RADIAL, _GAIN_MAP = 1, 3, 9
+_OPTIONAL = 1  # flag: a reader that does not know the opcode may leave it out
 _MOST_OPCODES, _MOST_POINTS = 256, 1024  # of a list, of a map along one axis: far above what cameras write
 _LARGEST_TERM = 1e3  # of a lens: far above what any needs, and far below what overflows
+_MOST_GAIN = 1e6  # of all maps and vignetting together; the least is its inverse
+_NAMES = {
+    2: "WarpFisheye", 4: "FixBadPixelsConstant", 5: "FixBadPixelsList", 6: "TrimBounds", 7: "MapTable",
+    8: "MapPolynomial", 10: "DeltaPerRow", 11: "DeltaPerColumn", 12: "ScalePerRow", 13: "ScalePerColumn",
+    14: "WarpRectilinear2",
+}  # fmt: skip
 _GAIN_MAP_HEAD = struct.Struct(">10L4dL")
 
 
@@ -21,13 +28,15 @@ class GainMap:
     """A grid of gains for every `pitch`-th pixel of a rectangle of the active area.
 
     Args:
-        gains: (V, H, planes), from the top-left.
+        gains: (V, H, planes), from the top-left; colours beyond its planes have those of its last.
         rectangle: top, left, bottom, right [px]; the last two are exclusive.
         pitch: rows and columns from one touched pixel to the next: 2, 2 for one CFA phase.
         origin: place of the first grid point as a share of the active area's height and width.
         spacing: distance of grid points, likewise.
-        plane, planes: the colour planes it is for (a mosaic has one).
+        plane, planes: the first colour plane it is for, and how many; a mosaic has one, a picture R, G, B.
     """
+
+    name: ClassVar[str] = "GainMap"
 
     gains: np.ndarray
     rectangle: tuple[int, int, int, int]
@@ -42,6 +51,7 @@ class GainMap:
 class WarpRectilinear:
     """Radial (k0 to k3) and tangential (t0, t1) terms per plane, about a relative centre (x, y)."""
 
+    name: ClassVar[str] = "WarpRectilinear"
     coefficients: np.ndarray
     center: tuple[float, float]
 
@@ -50,15 +60,29 @@ class WarpRectilinear:
 class FixVignetteRadial:
     """Gain `1 + k0 r^2 + k1 r^4 + ... + k4 r^10`; r is 1 at the farthest corner from the centre (x, y)."""
 
+    name: ClassVar[str] = "FixVignetteRadial"
     coefficients: np.ndarray
     center: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An opcode that is not known here; a reader may leave it out where it is optional."""
+
+    kind: int
+    optional: bool
+
+    @property
+    def name(self) -> str:
+        known = _NAMES.get(self.kind, f"an opcode of unknown kind {self.kind}")
+        return f"{known} (optional)" if self.optional else known
 
 
 Opcode = GainMap | WarpRectilinear | FixVignetteRadial
 
 
-def parse_opcodes(data: bytes, name: str = "opcode list") -> list[Opcode]:
-    """The opcodes of a list that are known here, in order; others are passed over.
+def parse_opcodes(data: bytes, name: str = "opcode list") -> list[Opcode | Unknown]:
+    """The opcodes of a list, in order.
 
     Args:
         data: the value of OpcodeList1, 2 or 3 (big-endian whatever the file's order).
@@ -69,20 +93,20 @@ def parse_opcodes(data: bytes, name: str = "opcode list") -> list[Opcode]:
 
     Source: Digital Negative specification 1.4, chapter 7.
     """
-    found: list[Opcode] = []
+    found: list[Opcode | Unknown] = []
     try:
         (count,) = struct.unpack_from(">L", data, 0)
         if count > _MOST_OPCODES:
             raise ValueError(f"{count} opcodes")
         at = 4
         for _ in range(count):
-            kind, _version, _flags, size = struct.unpack_from(">4L", data, at)
+            kind, _version, flags, size = struct.unpack_from(">4L", data, at)
             body = data[at + 16 : at + 16 + size]
             if len(body) != size:
                 raise ValueError("cut short")
             at += 16 + size
-            if kind in _PARSERS:
-                found.append(_PARSERS[kind](body))
+            parse = _PARSERS.get(kind)
+            found.append(parse(body) if parse else Unknown(kind, bool(flags & _OPTIONAL)))
     except (struct.error, ValueError) as error:
         raise InputError(f"{name}: is damaged ({error})") from error
     return found
@@ -97,22 +121,76 @@ def pack_opcodes(opcodes: Sequence[Opcode]) -> bytes:
     return b"".join(out)
 
 
-def shading_gain(maps: Iterable[GainMap], shape: tuple[int, int]) -> np.ndarray:
-    """(H, W) float32 gain of every pixel of the active area: the product of all maps, 1 elsewhere.
+def shades(opcode: Opcode | Unknown, planes: int) -> TypeGuard[GainMap | FixVignetteRadial]:
+    """Whether it changes the gain of a picture of so many planes."""
+    if isinstance(opcode, GainMap):
+        return opcode.plane < planes and opcode.planes > 0
+    return isinstance(opcode, FixVignetteRadial)
 
-    Between grid points the gain is bilinear; outside the grid it is that of its border.
 
-    Source: Digital Negative specification 1.4, GainMap.
+def check_gains(opcodes: Sequence[Opcode], name: str) -> None:
+    """Raise InputError where gains are not positive, or further from 1 together than any lens needs."""
+    least = most = 1.0
+    for opcode in opcodes:
+        if isinstance(opcode, GainMap):
+            low, high = float(opcode.gains.min()), float(opcode.gains.max())
+        elif isinstance(opcode, FixVignetteRadial):
+            gains = _polynomial(opcode)(np.linspace(0, 1, 257))
+            low, high = float(gains.min()), float(gains.max())
+        else:
+            continue
+        least, most = least * min(low, 1.0), most * max(high, 1.0)
+        if not (least >= 1 / _MOST_GAIN and most <= _MOST_GAIN):
+            raise InputError(
+                f"{name}: is damaged: {opcode.name} with gains from {low:g} to {high:g}, "
+                f"expected above 0 and, of all together, from {1 / _MOST_GAIN:g} to {_MOST_GAIN:g}"
+            )
+
+
+def shading_gain(
+    on_mosaic: Iterable[Opcode], shape: tuple[int, int], on_colors: Iterable[Opcode] = (), cfa: str = "RGGB"
+) -> np.ndarray:
+    """(H, W) float32 gain of every pixel of the active area: the product of all maps and vignetting.
+
+    Between grid points of a map the gain is bilinear; outside the grid it is that of its border.
+
+    Args:
+        on_mosaic: opcodes for the mosaic, which is one plane (OpcodeList2).
+        shape: of the active area.
+        on_colors: opcodes for the demosaicked picture (OpcodeList3): a pixel of the mosaic has the gain of
+            its own colour.
+        cfa: pattern of the active area.
+
+    Source: Digital Negative specification 1.4, GainMap and FixVignetteRadial.
     """
     out = np.ones(shape, np.float32)
-    for gain_map in maps:
-        top, left, bottom, right = gain_map.rectangle
-        rows = np.arange(top, min(bottom, shape[0]), gain_map.pitch[0])
-        columns = np.arange(left, min(right, shape[1]), gain_map.pitch[1])
-        vertical = _weights(rows, shape[0], gain_map, 0)
-        horizontal = _weights(columns, shape[1], gain_map, 1)
-        out[np.ix_(rows, columns)] *= vertical @ gain_map.gains[..., 0].astype(np.float32) @ horizontal.T
+    for opcode in on_mosaic:
+        if isinstance(opcode, FixVignetteRadial):
+            out *= vignetting_gain(opcode, shape)
+        elif isinstance(opcode, GainMap) and opcode.plane == 0 < opcode.planes:
+            _multiply(out, opcode, 0, (slice(None), slice(None)))
+    for opcode in on_colors:
+        if isinstance(opcode, FixVignetteRadial):
+            out *= vignetting_gain(opcode, shape)
+        elif isinstance(opcode, GainMap):
+            for i, color in enumerate(cfa):
+                plane = "RGB".index(color)
+                if opcode.plane <= plane < opcode.plane + opcode.planes:
+                    _multiply(out, opcode, plane, (slice(i // 2, None, 2), slice(i % 2, None, 2)))
     return out
+
+
+def _multiply(out: np.ndarray, gain_map: GainMap, plane: int, part: tuple[slice, slice]) -> None:
+    """Apply a map's gains for one plane to the pixels of the part that it is for."""
+    places, weights = [], []
+    for axis in (0, 1):
+        start, end = gain_map.rectangle[axis], min(gain_map.rectangle[axis + 2], out.shape[axis])
+        own = np.arange(start, end, gain_map.pitch[axis])
+        own = own[np.isin(own, np.arange(out.shape[axis])[part[axis]])]
+        places.append(own)
+        weights.append(_weights(own, out.shape[axis], gain_map, axis))
+    gains = gain_map.gains[..., min(plane, gain_map.gains.shape[2] - 1)].astype(np.float32)
+    out[np.ix_(*places)] *= weights[0] @ gains @ weights[1].T
 
 
 def vignetting_gain(opcode: FixVignetteRadial, shape: tuple[int, int]) -> np.ndarray:
@@ -123,7 +201,12 @@ def vignetting_gain(opcode: FixVignetteRadial, shape: tuple[int, int]) -> np.nda
     (row, column), farthest = optical_centre(opcode.center, shape)
     down, across = np.arange(shape[0]) - row, np.arange(shape[1]) - column
     squared = (down[:, None] ** 2 + across**2) / max(farthest, 1.0) ** 2
-    return np.polynomial.Polynomial([1.0, *opcode.coefficients])(squared).astype(np.float32)
+    return _polynomial(opcode)(squared).astype(np.float32)
+
+
+def _polynomial(opcode: FixVignetteRadial) -> np.polynomial.Polynomial:
+    """Gain over the square of the radius."""
+    return np.polynomial.Polynomial([1.0, *opcode.coefficients])
 
 
 def optical_centre(center: tuple[float, float], shape: tuple[int, int]) -> tuple[tuple[float, float], float]:

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from jaxisp.cfa import shifted
 from jaxisp.checks import check_finite
 from jaxisp.errors import InputError
+from jaxisp.io import dng_color, dng_layout
 from jaxisp.io import dng_facts as dng
 from jaxisp.io import tags as tag
 from jaxisp.io.calibration import (
@@ -19,8 +21,9 @@ from jaxisp.io.calibration import (
 )
 from jaxisp.io.description import RawDescription
 from jaxisp.io.files import PathLike, check_file, load_npy
-from jaxisp.io.libraw import camera_crop, check_bayer, opened, white_gains
-from jaxisp.io.opcodes import FixVignetteRadial, GainMap, WarpRectilinear, shading_gain, vignetting_gain
+from jaxisp.io.libraw import camera_crop, check_bayer, check_mosaic, opened, white_gains
+from jaxisp.io.opcodes import FixVignetteRadial, GainMap, Opcode, WarpRectilinear, shading_gain
+from jaxisp.io.quad import Filters, binned, reduced, remosaicked
 from jaxisp.io.settings import SettingsFile
 
 RAW_SUFFIXES = (
@@ -45,11 +48,15 @@ class Raw:
         xyz_to_camera: (3, 3) for the light of the shot, or None.
         camera_to_srgb: (3, 3) for white-balanced camera RGB, rows sum to 1, or None.
         noise_profile: (3, 2) shot and read of R, G, B in `shot * x + read**2`, or None.
-        gain_map, vignette: lens-shading maps and vignetting, not applied, or None; `shading` evaluates them.
+        opcodes_2, opcodes_3: lens shading for the mosaic and for the demosaicked picture, in order, not
+            applied; `shading` evaluates them.
         warp: lens correction, not applied, or None.
         orientation: EXIF 1 to 8, not applied.
         active_area: top, left, bottom, right in the sensor's frame.
         crop: top, left, height, width of `mosaic` in the active area.
+        baseline_exposure: gain [EV] that the file asks for when it is rendered, not applied.
+        scale: rows and columns of the rendered picture for each of `mosaic`: (1, 1) where pixels are square.
+        notes: a line on each thing that the file states and that is not applied, or not as it is stated.
     """
 
     path: Path
@@ -65,9 +72,9 @@ class Raw:
     xyz_to_camera: np.ndarray | None = None
     camera_to_srgb: np.ndarray | None = None
     noise_profile: np.ndarray | None = None
-    gain_map: tuple[GainMap, ...] | None = None
+    opcodes_2: tuple[Opcode, ...] = ()
+    opcodes_3: tuple[Opcode, ...] = ()
     warp: WarpRectilinear | None = None
-    vignette: FixVignetteRadial | None = None
     orientation: int = 1
     iso: float | None = None
     exposure_time: float | None = None
@@ -75,33 +82,53 @@ class Raw:
     model: str = ""
     baseline_exposure: float = 0.0
 
+    scale: tuple[float, float] = (1.0, 1.0)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def gain_map(self) -> tuple[GainMap, ...] | None:
+        """The lens-shading maps of both lists, or None."""
+        return tuple(o for o in self.opcodes_2 + self.opcodes_3 if isinstance(o, GainMap)) or None
+
+    @property
+    def vignette(self) -> FixVignetteRadial | None:
+        """The first vignetting of both lists, or None."""
+        both = self.opcodes_2 + self.opcodes_3
+        return next((o for o in both if isinstance(o, FixVignetteRadial)), None)
+
     @property
     def shading(self) -> np.ndarray | None:
-        """(H, W) float32 gain of `gain_map` and `vignette` at every pixel of `mosaic`, or None."""
-        if self.gain_map is None and self.vignette is None:
+        """(H, W) float32 gain of `opcodes_2` and `opcodes_3` at every pixel of `mosaic`, or None."""
+        if not (self.opcodes_2 or self.opcodes_3):
             return None
         top, left, bottom, right = self.active_area
         y, x, height, width = self.crop
-        gain = shading_gain(self.gain_map or (), (bottom - top, right - left))
-        if self.vignette is not None:
-            gain = gain * vignetting_gain(self.vignette, gain.shape)
+        cfa = shifted(self.cfa, y, x)  # of the active area: to shift twice is not to shift
+        gain = shading_gain(self.opcodes_2, (bottom - top, right - left), self.opcodes_3, cfa)
         return gain[y : y + height, x : x + width]
 
 
 @np.errstate(all="ignore")  # a damaged file's numbers may overflow: what comes of them is checked
-def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
+def read_raw(
+    path: PathLike, description: RawDescription | None = None, quad: Literal["bin", "remosaic"] = "bin"
+) -> Raw:
     """Read a RAW file, or a mosaic in `NAME.raw.npy`.
 
     Args:
-        path: any Bayer RAW that LibRaw opens.
+        path: any Bayer RAW that LibRaw opens, or a DNG whose filters cover 2x2 to 4x4 pixels each.
         description: overrides what the file states; by default `[raw]` of the dataset.toml beside it, and
             that of the file's own stem. A `.npy`, or a `.raw` without a header (which LibRaw knows by nothing
             but its size), must have one.
+        quad: what becomes of such filters: the mean of each ("bin"), or a Bayer mosaic of full size
+            ("remosaic").
 
     Raises:
+        ValueError: another `quad`.
         InputError: it cannot be read, is damaged or truncated, or is no Bayer mosaic (X-Trans,
             monochrome, linear, Foveon).
     """
+    if quad not in ("bin", "remosaic"):
+        raise ValueError(f"read_raw: quad must be bin or remosaic, got {quad!r}")
     path = check_file(path)
     is_npy = path.suffix.lower() == ".npy"
     bare = is_npy or _is_headerless(path)
@@ -116,8 +143,7 @@ def read_raw(path: PathLike, description: RawDescription | None = None) -> Raw:
     if tags is None and path.suffix.lower() == ".dng":
         raise InputError(f"{path}: is not a DNG, or a damaged one (its TIFF tags cannot be read)")
     if tags is not None and (tags.is_dng or path.suffix.lower() == ".dng"):
-        dng.check_dng(tags, path)
-        return _read_dng(path, tags, description)
+        return _read_dng(path, tags, description, quad)
     return _read_other(path, tags, description)
 
 
@@ -146,37 +172,81 @@ def _check_magic(path: Path) -> None:
             raise InputError(f"{path}: is a {name} file, expected a RAW file")
 
 
-def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription) -> Raw:
-    area = dng.active_area(tags, path)
+def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: str) -> Raw:
+    notes: list[str] = []
+    tell = notes.append
+    dng_layout.check_dng(tags, path, tell)
+    area = dng_layout.active_area(tags, path)
     active = area[2] - area[0], area[3] - area[1]
-    crop = dng.default_crop(tags, active, path)
+    crop = dng_layout.default_crop(tags, active, path, tell)
     with opened(path) as raw:
-        check_bayer(raw, path)
+        check_mosaic(raw, path)
         if raw.raw_image.shape != (tags.raw[tag.HEIGHT], tags.raw[tag.WIDTH]):
             raise InputError(f"{path}: LibRaw reads another picture of it than its tags describe")
-        levels = _cut(raw.raw_image[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
+        dng_layout.check_decoded(raw.raw_image, tags, path)
+        pixels = dng_layout.in_place(raw.raw_image, tags, path)
+        levels = _cut(pixels[area[0] : area[2], area[1] : area[3]], crop).astype(np.float32)
         as_shot = white_gains(raw.camera_whitebalance)
-    calibration = tags.calibration()
-    neutral = dng.neutral(tags, calibration, as_shot)
-    pattern = "".join("RGB"[i] for i in tags.raw[tag.CFA_PATTERN])
-    bits = tags.raw.get(tag.BITS, 16)
+    calibration = dng_color.calibration(tags, tell)
+    neutral = dng_color.neutral(tags, calibration, as_shot, tell)
+    filters = dng_layout.color_filters(tags, path)
+    black = dng.black_levels(tags, active, path, tell)
     raw_picture = Raw(
         path=path,
         mosaic=levels,
-        cfa=shifted(pattern, crop[0], crop[1]),
-        black=_cut(dng.black_levels(tags, active, path), crop),
-        white=tags.number(tag.WHITE) or 2.0**bits - 1,
+        cfa=filters.after(crop[0], crop[1]).cfa,
+        black=_cut(black, crop),
+        white=dng.white_level(tags, tell),
         white_balance=1 / neutral,
         active_area=area,
         crop=crop,
-        noise_profile=dng.noise_profile(tags),
-        baseline_exposure=tags.number(tag.BASELINE_EXPOSURE) or 0.0,
-        **dng.lens(tags, path),
+        noise_profile=dng.noise_profile(tags, tell),
+        baseline_exposure=dng.baseline_exposure(tags, tell),
+        scale=dng.default_scale(tags, tell),
+        **dng.lens(tags, path, tell),
         **dng.header(tags),
     )
+    dng.tell_unused(tags, tell)
     if calibration is not None:
         raw_picture = _calibrated(raw_picture, calibration, neutral)
-    return _finish(raw_picture, description)
+    raw_picture = _finish(raw_picture, description, float(black.max()))
+    if filters.size > 1:
+        raw_picture = _made_bayer(raw_picture, filters, quad, tell)
+    return replace(raw_picture, notes=tuple(notes))
+
+
+def _made_bayer(raw: Raw, filters: Filters, quad: str, tell: dng_color.Tell) -> Raw:
+    """A picture whose `filters`, those of its active area, cover several pixels each, as a Bayer mosaic."""
+    own, n = filters.after(*raw.crop[:2]), filters.size
+    before, after = (
+        tuple(o for o in opcodes if not isinstance(o, GainMap) or o.pitch == (1, 1))
+        for opcodes in (raw.opcodes_2, raw.opcodes_3)
+    )
+    if len(before + after) < len(raw.opcodes_2 + raw.opcodes_3):
+        tell("its GainMaps for single pixels of a filter are not applied")
+    raw = replace(raw, opcodes_2=before, opcodes_3=after)
+    if quad == "remosaic":
+        gains = np.ones(3) if raw.white_balanced else raw.white_balance
+        mosaic, cfa = remosaicked(raw.mosaic, own, gains)
+        tell(f"its filters cover {n} x {n} pixels: made a Bayer mosaic of full size")
+        return replace(raw, mosaic=mosaic, cfa=cfa)
+    mosaic = binned(raw.mosaic, own)
+    if min(mosaic.shape) < 2:
+        raise InputError(f"{raw.path}: has fewer than 2 x 2 filters of {n} x {n} pixels")
+    tell(f"its filters cover {n} x {n} pixels: their means are taken")
+    top, left, bottom, right = raw.active_area
+    height, width = (bottom - top - filters.start[0]) // n, (right - left - filters.start[1]) // n
+    first = [(cut + new - old) // n for cut, new, old in zip(raw.crop, own.start, filters.start)]
+    noise = raw.noise_profile
+    return replace(
+        raw,
+        mosaic=mosaic,
+        active_area=(top // n, left // n, top // n + height, left // n + width),
+        crop=(*first, *mosaic.shape),
+        noise_profile=None if noise is None else noise / (n * n, n),
+        opcodes_2=tuple(reduced(o, filters) for o in before),
+        opcodes_3=tuple(reduced(o, filters) for o in after),
+    )
 
 
 def _calibrated(raw: Raw, calibration: Calibration, neutral: np.ndarray) -> Raw:
@@ -247,21 +317,27 @@ def _read_npy(path: Path, description: RawDescription) -> Raw:
     return _finish(raw, description)
 
 
-def _finish(raw: Raw, description: RawDescription) -> Raw:
-    """Apply the description, subtract black, scale white to 1. `raw.black` is a cell or a plane so far."""
+def _finish(raw: Raw, description: RawDescription, largest: float | None = None) -> Raw:
+    """Apply the description, subtract black, scale white to 1. `raw.black` is a cell or a plane so far.
+
+    All pixels have one scale, that of the `largest` black of the sensor: equal light stays equal.
+
+    Source: Digital Negative specification 1.7.1, chapter 5.
+    """
     black = raw.black
     if description.black is not None:
         black = np.broadcast_to(description.black, 4).reshape(2, 2).astype(np.float32)
+    if largest is None or description.black is not None:
+        largest = float(black.max())
     white = raw.white if description.white is None else description.white
-    if not black.max() < np.float32(white):
+    if not np.float32(largest) < np.float32(white):
         raise InputError(
-            f"{raw.path}: has a white level of {white:g} that is not above its black of {black.max():g}"
+            f"{raw.path}: has a white level of {white:g} that is not above its black of {largest:g}"
         )
-    out = raw.mosaic
+    out, scale = raw.mosaic, np.float32(white) - np.float32(largest)
     for y in (0, 1):
         for x in (0, 1):
-            level = black[y::2, x::2]
-            out[y::2, x::2] = (out[y::2, x::2] - level) / (np.float32(white) - level)
+            out[y::2, x::2] = (out[y::2, x::2] - black[y::2, x::2]) / scale
     check_finite(str(raw.path), out)
     balance = raw.white_balance if description.white_balance is None else description.white_balance
     return replace(

@@ -1,5 +1,6 @@
 """dataset.toml: what it states of a folder's pairs, for all and by stem."""
 
+import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class SettingsFile:
     def __init__(self, folder: Path):
         path = folder / "dataset.toml"
         self.source = str(path)
-        table = read_toml(path) if path.exists() else {}
+        table = read_toml(path) if os.path.lexists(path) else {}
         self._common = {key: value for key, value in table.items() if key in _CHECKS}
         self._overrides: dict[str, dict[str, Any]] = {}
         for key, value in table.items():

@@ -10,32 +10,50 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from jaxisp.io.calibration import Calibration, usable
-
 CFA, LINEAR_RAW = 32803, 34892
 
-# Tag numbers (TIFF 6, EXIF 2.3, DNG 1.4)
+# Tag numbers (TIFF 6, EXIF 2.3, DNG 1.7.1)
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
-MAKE, MODEL, STRIP_OFFSETS, ORIENTATION, SAMPLES, STRIP_COUNTS = 271, 272, 273, 274, 277, 279
-TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT, CFA_DIM, CFA_PATTERN = 324, 325, 339, 33421, 33422
-EXPOSURE_TIME, EXIF, ISO, DNG_VERSION, PLANE_COLOR = 33434, 34665, 34855, 50706, 50710
+MAKE, MODEL, STRIP_OFFSETS, ORIENTATION, SAMPLES, STRIP_ROWS, STRIP_COUNTS = 271, 272, 273, 274, 277, 278, 279
+TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT = 322, 323, 324, 325, 339
+CFA_DIM, CFA_PATTERN, EXPOSURE_TIME, EXIF, ISO = 33421, 33422, 33434, 34665, 34855
+SENSITIVITY_TYPE, STANDARD_OUTPUT_SENSITIVITY = 34864, 34865
+RECOMMENDED_EXPOSURE_INDEX, ISO_SPEED = 34866, 34867
+DNG_VERSION, BACKWARD_VERSION, PLANE_COLOR, CFA_LAYOUT, LINEARIZATION = 50706, 50707, 50710, 50711, 50712
 BLACK_DIM, BLACK, BLACK_DELTA_H, BLACK_DELTA_V, WHITE = 50713, 50714, 50715, 50716, 50717
-CROP_ORIGIN, CROP_SIZE, COLOR_MATRIX_1, COLOR_MATRIX_2 = 50719, 50720, 50721, 50722
-CALIBRATION_1, CALIBRATION_2, ANALOG_BALANCE, NEUTRAL, WHITE_XY = 50723, 50724, 50727, 50728, 50729
-BASELINE_EXPOSURE, ILLUMINANT_1, ILLUMINANT_2, ACTIVE_AREA = 50730, 50778, 50779, 50829
-FORWARD_1, FORWARD_2, OPCODES_2, OPCODES_3, NOISE_PROFILE = 50964, 50965, 51009, 51022, 51041
+DEFAULT_SCALE, CROP_ORIGIN, CROP_SIZE, USER_CROP = 50718, 50719, 50720, 51125
+COLOR_MATRICES, CALIBRATIONS, FORWARDS = (50721, 50722, 52531), (50723, 50724, 52530), (50964, 50965, 52532)
+ILLUMINANTS, ILLUMINANT_DATA = (50778, 50779, 52529), (52533, 52534, 52535)
+CALIBRATION_SIGNATURE, PROFILE_SIGNATURE = 50931, 50932
+ANALOG_BALANCE, NEUTRAL, WHITE_XY, BASELINE_EXPOSURE, EXPOSURE_OFFSET = 50727, 50728, 50729, 50730, 51109
+ACTIVE_AREA, SUB_TILE, ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50829, 50974, 50975, 52547
+COLORIMETRIC_REFERENCE, OPCODES_1, OPCODES_2, OPCODES_3, NOISE_PROFILE = 50879, 51008, 51009, 51022, 51041
 
+STATED = {
+    50831: "AsShotICCProfile", 50833: "CurrentICCProfile",
+    50938: "ProfileHueSatMap", 50940: "ProfileToneCurve", 50982: "ProfileLookTable",
+    52525: "ProfileGainTableMap", 52543: "RGBTables", 52544: "ProfileGainTableMap2",
+}  # fmt: skip
+"""What changes the look of a picture and is never applied: its value is not read, it is True where stated."""
+
+_TEXT = {MAKE, MODEL, CALIBRATION_SIGNATURE, PROFILE_SIGNATURE}
+_BYTES = {
+    CFA_PATTERN, PLANE_COLOR, *ILLUMINANT_DATA, OPCODES_1, OPCODES_2, OPCODES_3, DNG_VERSION,
+    BACKWARD_VERSION,
+}  # fmt: skip
 _WANTED = {
-    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, MAKE, MODEL, STRIP_OFFSETS, ORIENTATION, SAMPLES,
-    STRIP_COUNTS, TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT, CFA_DIM, CFA_PATTERN, EXPOSURE_TIME, EXIF, ISO,
-    DNG_VERSION, PLANE_COLOR, BLACK_DIM, BLACK, BLACK_DELTA_H, BLACK_DELTA_V, WHITE, CROP_ORIGIN, CROP_SIZE,
-    COLOR_MATRIX_1, COLOR_MATRIX_2, CALIBRATION_1, CALIBRATION_2, ANALOG_BALANCE, NEUTRAL, WHITE_XY,
-    BASELINE_EXPOSURE, ILLUMINANT_1, ILLUMINANT_2, ACTIVE_AREA, FORWARD_1, FORWARD_2, OPCODES_2, OPCODES_3,
-    NOISE_PROFILE,
+    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, STRIP_OFFSETS, ORIENTATION, SAMPLES, STRIP_ROWS,
+    STRIP_COUNTS, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT, CFA_DIM, EXPOSURE_TIME,
+    EXIF, ISO, SENSITIVITY_TYPE, STANDARD_OUTPUT_SENSITIVITY, RECOMMENDED_EXPOSURE_INDEX, ISO_SPEED,
+    CFA_LAYOUT, LINEARIZATION, BLACK_DIM, BLACK, BLACK_DELTA_H, BLACK_DELTA_V, WHITE, DEFAULT_SCALE,
+    CROP_ORIGIN, CROP_SIZE, USER_CROP, *COLOR_MATRICES, *CALIBRATIONS, *FORWARDS, *ILLUMINANTS,
+    ANALOG_BALANCE, NEUTRAL, WHITE_XY, BASELINE_EXPOSURE, EXPOSURE_OFFSET, ACTIVE_AREA, SUB_TILE,
+    ROW_INTERLEAVE, COLUMN_INTERLEAVE, COLORIMETRIC_REFERENCE, NOISE_PROFILE, *STATED, *_TEXT, *_BYTES,
 }  # fmt: skip
 
 _SINGLE = {
-    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, ORIENTATION, SAMPLES, SAMPLE_FORMAT,
+    SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, ORIENTATION, SAMPLES, SAMPLE_FORMAT, STRIP_ROWS,
+    TILE_WIDTH, TILE_HEIGHT,
 }  # fmt: skip
 """Tags of one whole number, or of one a sample that are all the same."""
 _MOST_VALUES = 1 << 24
@@ -44,10 +62,14 @@ _MOST_DIRECTORIES = 100
 
 @dataclass(frozen=True)
 class DngTags:
-    """Tags of the first directory and of the one that holds the RAW pixels, by number."""
+    """Tags of the first directory and of the one that holds the RAW pixels, by number.
+
+    `byteorder` is that of the file, "<" or ">".
+    """
 
     main: dict[int, Any]
     raw: dict[int, Any]
+    byteorder: str = "<"
 
     @property
     def is_dng(self) -> bool:
@@ -71,33 +93,17 @@ class DngTags:
             default if values is None or not values.size or not np.isfinite(values[0]) else float(values[0])
         )
 
-    def exif(self, name: str) -> float | None:
-        """A positive number of the EXIF directory, else None."""
+    def exif(self, name: str, rational: bool = False) -> float | None:
+        """A positive number of the EXIF directory, the first of several, else None."""
         table = self.main.get(EXIF)
         value = table.get(name) if isinstance(table, dict) else None
         if isinstance(value, tuple):
-            value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
+            ratio = rational and len(value) >= 2 and value[1]
+            value = value[0] / value[1] if ratio else next(iter(value), None)
         return float(value) if isinstance(value, (int, float)) and value > 0 else None
 
-    def calibration(self) -> Calibration | None:
-        """The colour calibration; None where no ColorMatrix can be used."""
-        first, second = self._matrix(COLOR_MATRIX_1), self._matrix(COLOR_MATRIX_2)
-        slots = [i for i, matrix in enumerate((first, second)) if usable(matrix)]
-        if not slots:
-            return None
-        forward = [self._matrix((FORWARD_1, FORWARD_2)[i]) for i in slots]
-        camera = [self._matrix((CALIBRATION_1, CALIBRATION_2)[i]) for i in slots]
-        balance = self.numbers(ANALOG_BALANCE, (1.0, 1.0, 1.0))
-        balance_ok = balance is not None and balance.shape == (3,) and (balance > 0).all()
-        return Calibration(
-            tuple(int(self.number((ILLUMINANT_1, ILLUMINANT_2)[i], 0) or 0) for i in slots),
-            np.stack([(first, second)[i] for i in slots]),  # type: ignore[misc]
-            np.stack(forward) if all(usable(m) for m in forward) else None,  # type: ignore[arg-type]
-            np.stack([m if m is not None and usable(m) else np.eye(3) for m in camera]),
-            balance if balance_ok and balance is not None else np.ones(3),
-        )
-
-    def _matrix(self, code: int) -> np.ndarray | None:
+    def matrix(self, code: int) -> np.ndarray | None:
+        """The value as (3, 3), where it has nine elements."""
         values = self.numbers(code)
         return values.reshape(3, 3) if values is not None and values.size == 9 else None
 
@@ -120,11 +126,12 @@ def read_tags(path: Path) -> DngTags | None:
         with quiet_tifffile(), tifffile.TiffFile(path) as tif:
             pages = list(_walk(tif.pages, set()))
             directories = [{t.code: _value(t) for t in page.tags if t.code in _WANTED} for page in pages]
+            byteorder = tif.byteorder
     except Exception:  # a parser on arbitrary bytes: any error means the same
         return None
     if not directories:
         return None
-    return DngTags(directories[0], max(directories, key=_rawness))
+    return DngTags(directories[0], max(directories, key=_rawness), byteorder)
 
 
 def _walk(pages: Any, seen: set[int]) -> Iterator[Any]:
@@ -150,12 +157,16 @@ def _value(tag: Any) -> Any:
     """
     if tag.count > _MOST_VALUES:
         raise ValueError(f"{tag.count} values")
+    if tag.code in STATED:
+        return True
     value = tag.value
-    if tag.code in (MAKE, MODEL):
-        return value if isinstance(value, str) else ""
+    if tag.code in _TEXT:
+        if isinstance(value, bytes):
+            value = value.decode(errors="replace")
+        return value.rstrip("\0 ") if isinstance(value, str) else ""
     if tag.code == EXIF:
         return value if isinstance(value, dict) else {}
-    if tag.code in (CFA_PATTERN, PLANE_COLOR, OPCODES_2, OPCODES_3, DNG_VERSION):
+    if tag.code in _BYTES:
         return value if isinstance(value, bytes) else bytes(np.atleast_1d(value).tolist())
     if isinstance(value, bytes):
         value = np.frombuffer(value, np.uint8)

@@ -233,3 +233,23 @@ def _compress(
     y = jnp.where(lost, jnp.nan, coded[: shape[0], : shape[1]])
     cb, cr = unpack(coded[-len(chroma) :])
     return ycbcr_to_rgb(*lax.optimization_barrier((y, cb, cr)))  # or each colour upsamples for itself
+
+
+def compress_each(planes: Planes, tables: jax.Array, subsampling: str) -> Planes:
+    """Components as they stand, each coded and decoded with a table of its own.
+
+    Args:
+        planes: three (H, W) planes of whole numbers in 0..255.
+        tables: (3, 8, 8) whole numbers in 1..65535.
+        subsampling: a key of `SAMPLING`: of the second and the third.
+    """
+
+    def one(plane: jax.Array, table: jax.Array, step: tuple[int, int]) -> jax.Array:
+        small = downsample(plane, step)
+        blocks = materialize(small.reshape(-1, 8, small.shape[1]))
+        coded = through_blocks(blocks, jnp.stack([table, table]), len(blocks))
+        return upsample(coded.reshape(small.shape), plane.shape, step)
+
+    steps = (1, 1), SAMPLING[subsampling], SAMPLING[subsampling]
+    first, second, third = (one(*each) for each in zip(planes, tables, steps))
+    return first, second, third

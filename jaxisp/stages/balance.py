@@ -135,7 +135,7 @@ def color_matrix(params: ColorMatrix, image: CameraRGB) -> LinearRGB:
     `y = matrix @ x` at each pixel, not clipped.
 
     Args:
-        params: the matrix; `jaxisp.colorimetry.camera_to_srgb_matrix` makes it of a DNG's.
+        params: the matrix; `jaxisp.io.Raw.camera_to_srgb` is what a RAW file states.
         image: (H, W, 3) white-balanced linear light, any range.
 
     Returns:

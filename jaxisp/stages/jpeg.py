@@ -16,9 +16,9 @@ from jaxisp.options import between, one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
-_BLOCK = 16
+BLOCK = 16
 """Rows that are coded together, where chroma is halved."""
-_REACH = 2 * _BLOCK - 1
+ENCODER_REACH = 2 * BLOCK - 1
 """To the far end of the next of these blocks, from which chroma is interpolated."""
 FIRST_FULL_LEVEL = 7
 """The first of Photoshop's levels that keeps chroma at full resolution."""
@@ -36,7 +36,7 @@ class Jpeg:
     quality: Leaf = param(75.0, (1.0, 100.0), "quality", doc="libjpeg's 1 to 100, rounded")
 
 
-@register(reach=_REACH, block=_BLOCK)
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg(
     params: Jpeg,
     image: EncodedRGB,
@@ -92,7 +92,7 @@ class JpegPhotoshop:
     level: Leaf = param(8.0, (0.0, 12.0), "level", doc="Photoshop's 0 to 12, rounded")
 
 
-@register(reach=_REACH, block=_BLOCK)
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg_photoshop(
     params: JpegPhotoshop,
     image: EncodedRGB,
@@ -152,7 +152,7 @@ class JpegTables:
     )
 
 
-@register(reach=_REACH, block=_BLOCK)
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg_tables(
     params: JpegTables,
     image: EncodedRGB,

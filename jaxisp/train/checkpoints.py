@@ -10,10 +10,13 @@ import jax
 import orbax.checkpoint as ocp
 
 from jaxisp.errors import InputError, one_line
+from jaxisp.io.digests import changed_files, note_files
 from jaxisp.io.files import reason
 from jaxisp.train.step import State
 
 FOLDERS = ("best", "last")
+DIGESTS = "digests.json"
+"""In the folder of each checkpoint: of all its files."""
 _OVERHEAD = 1 << 20  # bytes of a checkpoint besides its arrays, at the most
 
 _RAISED = ("_SignalingThread.run() raised", "Metadata file does not exist")
@@ -50,12 +53,15 @@ class Checkpoints:
 
     @property
     def best(self) -> tuple[int, float] | None:
-        """Step and validation PSNR of the best checkpoint."""
+        """Step and validation PSNR of the best checkpoint, where there is one that is whole."""
         manager = self._managers["best"]
-        steps = manager.all_steps()
-        if not steps:
-            return None
-        return max(steps), float(_notes(manager, max(steps))["psnr"])
+        for step in sorted(manager.all_steps(), reverse=True):
+            try:
+                self._check("best", step)
+                return step, float(_notes(manager, step)["psnr"])
+            except Exception:  # damaged: as if there were none
+                continue
+        return None
 
     def save(self, state: State, psnr: float | None) -> None:
         """Write a checkpoint; as the best one too where its validation PSNR is the highest.
@@ -79,6 +85,8 @@ class Checkpoints:
             _check_room(self.run / "checkpoints" / which, state)
             manager.save(step, args=items)
             manager.wait_until_finished()
+            if jax.process_index() == 0:
+                note_files(self.run / "checkpoints" / which / str(step), DIGESTS)
         except Exception as error:  # orbax and tensorstore raise many kinds for a full disk
             for part in (self.run / "checkpoints" / which).glob(f"{step}.*tmp*"):
                 shutil.rmtree(part, ignore_errors=True)  # gives the space back
@@ -101,6 +109,7 @@ class Checkpoints:
         why = "there is none"
         for step in reversed(self.steps(which)):
             try:
+                self._check(which, step)
                 return self._restore(self._managers[which], step, like)
             except Exception as error:  # damaged after it was written: the one before may be whole
                 why = f"step {step}: {one_line(error)}"
@@ -108,7 +117,20 @@ class Checkpoints:
 
     def _restore(self, manager: ocp.CheckpointManager, step: int, like: State) -> State:
         items = ocp.args.Composite(state=ocp.args.StandardRestore(like._asdict()))
-        return State(**manager.restore(step, args=items)["state"])
+        state = State(**manager.restore(step, args=items)["state"])
+        if int(state.step) != step:
+            raise InputError(f"it is of step {int(state.step)}")
+        return state
+
+    def _check(self, which: str, step: int) -> None:
+        """Raise InputError where files are not those that were written.
+
+        One without digests is of a version before them, or was killed before it wrote them: orbax renames
+        what is whole.
+        """
+        folder = self.run / "checkpoints" / which / str(step)
+        if (folder / DIGESTS).exists() and (changed := changed_files(folder, DIGESTS)):
+            raise InputError(f"{changed[0].relative_to(folder)} is not what was written")
 
     def close(self) -> None:
         for manager in self._managers.values():

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import tomli_w
 
 from jaxisp.errors import InputError
+from jaxisp.io.digests import sealed_toml
 from jaxisp.io.files import read_toml, short, write_text
 
 Light = Literal["encoded", "linear"]
@@ -97,7 +98,7 @@ class TrainConfig:
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
-        write_text(path, tomli_w.dumps(dataclasses.asdict(self)))
+        write_text(path, sealed_toml(tomli_w.dumps(dataclasses.asdict(self))))
 
     @classmethod
     def load(cls, path: str | Path) -> "TrainConfig":

@@ -1,7 +1,7 @@
 """A trained run as a denoiser of pictures and files."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from flax import nnx
 
 from jaxisp.errors import InputError
-from jaxisp.io.files import find_images, output_folder
+from jaxisp.io.files import check_output, find_images, output_folder, real_paths
 from jaxisp.io.images import read_image, write_png
 from jaxisp.models.inference import denoise
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
@@ -81,11 +81,12 @@ def denoise_files(
         InputError: no input, the folder cannot be written, or the tile is too small for the network.
     """
     paths, out = find_images(inputs), output_folder(out)
+    given = real_paths(paths)
     clock, failed = time.perf_counter(), []
     done: dict[str, Path] = {}
     for path in paths:
         try:
-            picture = _read(path, out, done)
+            picture = _read(path, out, done, given)
         except InputError as error:
             failed.append((str(path), str(error)))
             continue
@@ -99,10 +100,12 @@ def denoise_files(
     return {"images": len(done), "seconds": round(time.perf_counter() - clock, 3), "failed": failed}
 
 
-def _read(path: Path, out: Path, done: Mapping[str, Path]) -> np.ndarray:
-    """A picture; InputError where its result would replace itself or that of one done before."""
+def _read(path: Path, out: Path, done: Mapping[str, Path], given: Container[str]) -> np.ndarray:
+    """A picture; InputError where its result would replace an input, or that of one done before."""
     if path.stem in done:
         raise InputError(f"{path}: {done[path.stem]} has the same name, which outputs would share")
-    if (out / f"{path.stem}.png").resolve() == path.resolve():
-        raise InputError(f"{path}: would be overwritten by its own result")
+    try:
+        check_output(out / f"{path.stem}.png", given)
+    except InputError as error:
+        raise InputError(f"{path}: has no place for its result: {error}") from error
     return read_image(path)

@@ -1,48 +1,63 @@
 """The folder of a run: what it was told, and its model card."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
 from jaxisp import __version__
 from jaxisp.errors import InputError
-from jaxisp.io.files import write_text
+from jaxisp.io.digests import check_seal, sealed_toml
+from jaxisp.io.files import check_new, files_below, write_text
 from jaxisp.recipe import Recipe
 from jaxisp.train.config import TrainConfig
 
 _LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
 CONFIG, RECIPE, CARD = "config.toml", "recipe.toml", "MODEL_CARD.md"
+_WRITTEN = (CARD, "log.csv", "validation.csv", "checkpoints", "tensorboard")
 
 
 def check_folder(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
     """Raise InputError where the folder holds a run and this is not to resume it, or is told something else
-    (more steps are allowed)."""
-    if (run / CONFIG).exists():
+    (more steps are allowed); or where it holds no run, but files that a run would replace."""
+    if os.path.lexists(run / CONFIG):
         if not resume:
             raise InputError(f"{run}: holds a run already; resume it, or choose another folder")
         _check_same(run, config, recipe)
+        return
+    for path in (run / name for name in _WRITTEN):
+        for file in files_below(path):
+            raise InputError(f"{file}: stands there already and would be replaced; choose another folder")
+    check_new(run / RECIPE, _text(recipe))  # a run that was killed at its start leaves it
 
 
 def begin(run: Path, config: TrainConfig, recipe: Recipe) -> None:
     """Write what a run is told."""
-    recipe.save(run / RECIPE)
+    write_text(run / RECIPE, _text(recipe))
     config.save(run / CONFIG)  # the last: where it stands, the run can be resumed
 
 
+def _text(recipe: Recipe) -> str:
+    return sealed_toml(recipe.to_toml())
+
+
 def _check_same(run: Path, config: TrainConfig, recipe: Recipe) -> None:
-    before, now = (dataclasses.asdict(c) for c in (TrainConfig.load(run / CONFIG), config))
+    told, drawn = load_settings(run)
+    before, now = dataclasses.asdict(told), dataclasses.asdict(config)
     for field, value in before.items():
         if value != now[field] and field != "steps":
             raise InputError(f"{run}: was begun with {field} = {value!r}, cannot go on with {now[field]!r}")
-    if Recipe.load(run / RECIPE) != recipe:
+    if drawn != recipe:
         raise InputError(f"{run}: was begun with another recipe of the name {recipe.name!r}")
 
 
 def load_settings(run: str | Path) -> tuple[TrainConfig, Recipe]:
-    """What a run was told. Raises InputError where the folder holds none."""
+    """What a run was told. Raises InputError where the folder holds none, or it is not what was written."""
     run = Path(run)
-    if not (run / CONFIG).is_file():
+    if not os.path.isfile(run / CONFIG):
         raise InputError(f"{run}: holds no run, expected a folder that jaxisp train wrote")
+    for name in (CONFIG, RECIPE):
+        check_seal(run / name)
     return TrainConfig.load(run / CONFIG), Recipe.load(run / RECIPE)
 
 

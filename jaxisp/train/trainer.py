@@ -102,10 +102,7 @@ def train(
     with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
         if lead:
             check_folder(run, config, recipe, resume=resume)
-        ready = _Run(config, run, recipe, lead, signals, tick)
-        if lead:
-            begin(run, config, recipe)  # not before its photographs were found
-        return ready.train()
+        return _Run(config, run, recipe, lead, signals, tick).train()
 
 
 class _Run:
@@ -135,6 +132,8 @@ class _Run:
             self.model, recipe, optimizer, key=degrade_key(config.seed), loss=config.loss,
             ema=config.ema, light=config.light, mesh=self.mesh,
         )  # fmt: skip
+        if lead:
+            begin(run, config, recipe)  # not before its photographs were found, and before all other files
         self.checkpoints = Checkpoints(run, config.keep)
         fresh = replicate(self.mesh, init_state(self.model, optimizer, ema=config.ema))
         self.state = self.checkpoints.restore(fresh) if self.checkpoints.steps() else fresh
@@ -283,7 +282,7 @@ class _Rate:
 
 
 class _Signals:
-    """Takes SIGINT and SIGTERM as a wish to stop; a second SIGINT interrupts at once."""
+    """Takes SIGINT and SIGTERM as a wish to stop; a second one does what it did before."""
 
     came = False
 
@@ -296,7 +295,7 @@ class _Signals:
 
     def _note(self, number: int, frame: Any) -> None:
         self.came = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(number, self._before[number])
 
     def __exit__(self, *_: Any) -> None:
         for number, handler in self._before.items():

@@ -11,7 +11,7 @@ import jaxisp.data.clean as clean_module
 from jaxisp.data import CleanImages, CleanPatches, DegradedBatches, downsample_linear, load_clean, patches
 from jaxisp.errors import InputError
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from jax.sharding import Mesh
 from jaxisp.data import Batches, CleanImages, CleanPatches, DegradedBatches, batches
 from jaxisp.io import write_png
 from jaxisp.recipes import RECIPES
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import skimage.data
 
 from jaxisp.fit.align import Alignment, best_orientation, covered, estimate, same_scene, warp
 from jaxisp.io.orientation import unorient
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 ASTRONAUT, CHELSEA, COFFEE = (getattr(skimage.data, n)() / 255 for n in ("astronaut", "chelsea", "coffee"))
 
@@ -99,6 +99,33 @@ def test_different_scenes_are_told_from_one(rng):
     noise, flat = rng.uniform(size=(64, 80)), np.full((64, 80), 0.5)
     assert not same_scene(estimate(noise, flat), flat.shape)
     assert not same_scene(estimate(flat, flat), flat.shape)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.88, 1.2])
+@pytest.mark.parametrize(
+    "corner, shape", [((50, 40), (400, 350)), ((375, 825), (400, 350)), ((200, 400), (350, 400))]
+)
+def test_a_part_is_found_wherever_it_was_cut(rng, corner, shape, scale):
+    """Upright of a wide picture, from a corner and from the middle, resized by OpenCV."""
+    whole = np.clip(cv2.resize(COFFEE, (1200, 800), interpolation=cv2.INTER_CUBIC), 0, 1)
+    (y, x), (h, w) = corner, shape
+    part = cv2.resize(whole[y : y + h, x : x + w], None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    part, moving = rendered(rng, part, whole)
+    true = Alignment(y + (h - 1) / 2 - 399.5, x + (w - 1) / 2 - 599.5, 1 / scale, 1 / scale)
+    for found, where in (
+        (estimate(part, moving), true),
+        (estimate(moving, part), Alignment(-true.dy * scale, -true.dx * scale, scale, scale)),
+    ):
+        assert center_error(found, where) < 0.3
+        np.testing.assert_allclose([found.scale_y, found.scale_x], where.scale_y, rtol=2e-3)
+        assert same_scene(found, part.shape, moving.shape)
+
+
+def test_no_place_is_found_for_a_part_of_another_scene(rng):
+    whole, other = (cv2.resize(p, (1200, 800), interpolation=cv2.INTER_CUBIC) for p in (COFFEE, CHELSEA))
+    for part in (other[50:450, 40:390], other[:200, :200], cv2.resize(whole[200:600, 300:700], (200, 200))):
+        found = estimate(part, whole)
+        assert 0 <= found.correlation < 0.5 and not same_scene(found, part.shape, whole.shape)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

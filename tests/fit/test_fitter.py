@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -12,14 +13,17 @@ from scipy import ndimage
 from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.fit import fit_examples
+from jaxisp.fit import fit_examples, model
 from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
+from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, sharing
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
+from jaxisp.io.jpeg import decode_jpeg
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
+from tests.io.profiles import COLORANTS, SRGB_CURVE, parametric, profile
 
 pytestmark = pytest.mark.optimised
 
@@ -219,6 +223,44 @@ def test_unknown_choices_are_refused(own):
         fit_examples([own[1]], median="7x7")
 
 
+@pytest.mark.parametrize("option", ["fixed", "free", "per_image"])
+def test_a_name_that_is_misspelt_is_refused_before_anything_is_read(option):
+    def load():
+        raise AssertionError("it was read")
+
+    with pytest.raises(InputError, match="named 'vignettting'; is it vignetting"):
+        fit_examples([load], **{option: ["vignettting"]})
+    with pytest.raises(InputError, match=r"named 'saturation\.amont'; is it saturation\.amount"):
+        fit_examples([load], **{option: ["saturation.amont"]})
+
+
+def test_what_is_fixed_is_so_beside_what_is_anyway():
+    start = model.start()
+    flags = sharing(
+        start, per_image=["exposure"], fixed=["vignetting", "tone"], free=["geometric_distortion.k2"]
+    )
+    assert {flags["vignetting"].a2, flags["vignetting"].a6, flags["s_curve"].strength} == {FIXED}
+    assert flags["denoise_encoding"].gamma == FIXED, "it is by itself"
+    assert flags["geometric_distortion"].k2 == flags["bilateral"].luma_sigma_space == CAMERA
+    assert flags["exposure"].exposure_ev == IMAGE
+    with pytest.raises(InputError, match=r"saturation\.amount: is fixed, and free or per image"):
+        sharing(start, per_image=["colour"], fixed=["saturation"])
+
+
+def test_a_part_of_the_picture_is_laid_where_it_was_cut(tmp_path):
+    """Upright of a wide RAW; one that was resized besides is refused with the sizes."""
+    write_pairs(tmp_path, PHONES["a"], {"whole": scene("astronaut", (384, 512))})
+    whole = example(tmp_path)
+    y, x = 40, 290
+    part = dataclasses.replace(whole, picture=whole.picture[y : y + 240, x : x + 208], jpeg=None)
+    shot = prepare(part)
+    assert shot.alignment.dy == pytest.approx(y + 119.5 - 191.5, abs=0.3)
+    assert shot.alignment.dx == pytest.approx(x + 103.5 - 255.5, abs=0.3)
+    small = dataclasses.replace(part, picture=cv2.resize(part.picture, None, fx=0.5, fy=0.5))
+    with pytest.raises(InputError, match="104x120 px beside a RAW of 512x384 px, is a part that was resized"):
+        prepare(small)
+
+
 def test_another_scene_is_refused_with_its_figure(folder):
     other = example(folder)
     coffee = scene("coffee", SIZE).astype(np.float32) ** (1 / 2.2)
@@ -261,3 +303,29 @@ def test_the_report_is_one_file_without_requests(result, tmp_path):
     assert f"{result.pairs[0].held_out_psnr:.2f}" in text
     rows = parameter_rows(result)
     assert any(name == "bilateral.luma_sigma_space" for name, *_ in rows)
+
+
+def test_what_no_encoder_models_is_noted(folder):
+    given = example(folder)
+    odd = dataclasses.replace(given, jpeg=dataclasses.replace(given.jpeg, subsampling="4:1:1"))
+    assert not any("encoder" in note for note in prepare(given).notes)
+    assert any("JPEG encoder did is not modelled: its chroma sampling 4:1:1" in n for n in prepare(odd).notes)
+
+
+@pytest.mark.slow
+def test_the_encoder_of_a_file_in_display_p3_with_three_tables(folder, tmp_path):
+    """It is rendered while the fit runs, and is part of the camera that is saved."""
+    given = example(folder)
+    icc = profile("P3", COLORANTS["Display P3"], parametric(*SRGB_CURVE))
+    data = io.BytesIO()
+    tables = [[step] * 64 for step in (6, 12, 300)]
+    picture = Image.fromarray(np.rint(given.picture * 255).astype(np.uint8))
+    picture.save(data, "JPEG", qtables=tables, subsampling=0, icc_profile=icc)
+    jpeg = decode_jpeg(data.getvalue(), "a.jpg")
+    wide = dataclasses.replace(given, picture=jpeg.image, jpeg=jpeg)
+    result = fit_examples([wide], steps=1, **PLAIN)
+    result.camera.save(tmp_path / "camera.toml")
+    camera = Recipe.load(tmp_path / "camera.toml")
+    assert camera.chain.nodes[-1].fn.__name__ == "jpeg_file"
+    np.testing.assert_array_equal(camera.prior["jpeg_tables"].tables[:, 0, 0], (6, 12, 300))
+    assert np.isfinite(develop(given.raw, camera)).all()

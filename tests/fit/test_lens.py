@@ -13,7 +13,7 @@ from jaxisp.fit.model import LENS, start
 from jaxisp.pipeline import Chain, stage
 from jaxisp.samples import PHONES, phone, scene, write_pairs
 from jaxisp.stages.optics import GeometricDistortion, LateralChromaticAberration
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 def displaced(image, lens, order=5):

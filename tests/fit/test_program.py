@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.fit.fitter import FIXED_NAMES
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.program import CHROMA, jacobian_shape, normal_equations
 from jaxisp.fit.search import Options, Search
@@ -30,7 +29,7 @@ COLUMNS = (
 @pytest.fixture(scope="module")
 def fitted(own):
     shot = prepare(own[1])
-    options = Options(2, "demosaic_malvar", "none", "camera", (), FIXED_NAMES)
+    options = Options(2, "demosaic_malvar", "none", "camera", ())
     search = Search([shot], options, Journal.open(None, ""), lambda *_: None)
     design = dataclasses.replace(options.first, lens=True, median="cross", sampling=True)
     return Fit(search.problem, search.start, search.views(design), search.origin, design), search.origin

@@ -14,7 +14,6 @@ from jax.sharding import Mesh
 
 from jaxisp.errors import InputError
 from jaxisp.fit import Example, fit_dataset
-from jaxisp.fit.fitter import FIXED_NAMES
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.search import Options, Search
 from jaxisp.fit.spread import agree
@@ -47,7 +46,7 @@ def spread(folder):
 def test_eight_devices_give_the_equations_of_one(folder):
     pair = open_dataset(folder).pairs[0].load()
     shot = prepare(Example("scene", pair.raw, pair.picture, pair.jpeg))
-    options = Options(2, WHAT["demosaic"], WHAT["median"], "camera", (), FIXED_NAMES)
+    options = Options(2, WHAT["demosaic"], WHAT["median"], "camera", ())
     search = Search([shot], options, Journal.open(None, ""), lambda *_: None)
     one, many = (copy.copy(search._fit(options.first)) for _ in range(2))
     many.mesh = mesh_of(8)

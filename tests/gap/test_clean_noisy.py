@@ -27,7 +27,7 @@ from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
 from jaxisp.pipeline import Chain, run, stage
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.gap.schema import keeps_the_schema
 
 pytestmark = pytest.mark.optimised

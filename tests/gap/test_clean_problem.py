@@ -20,7 +20,7 @@ from jaxisp.gap.objective.starts import noise_indices
 from jaxisp.gap.objective.statistics import StatisticsProblem
 from jaxisp.gap.objective.tolerances import noise_only, tolerances, units
 from jaxisp.gap.search.refit import Whole, _climbed, nearest_form, refit
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 

@@ -19,7 +19,7 @@ from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, check_effect
 from jaxisp.gap.simulator.model import build, plain_camera, plain_freedom
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 VOCABULARY = [
     "vignetting", "color_shading", "lateral_chromatic_aberration", "optical_blur", "motion_blur",

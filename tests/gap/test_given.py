@@ -15,7 +15,8 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.given import of_recipe
-from jaxisp.gap.base.given_camera import check_camera, of_camera
+from jaxisp.gap.base.given_camera import of_camera
+from jaxisp.gap.base.given_chain import check_camera
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.raw_jpeg import candidates
 from jaxisp.gap.objective.pixels import Pairs, Problem
@@ -56,8 +57,10 @@ def test_what_a_recipe_draws_is_open_from_its_median_and_within_its_range():
 
 
 def test_what_the_header_states_replaces_the_last_compression():
-    tables = np.full((8, 8), 7.0)
-    file = SimpleNamespace(subsampling="4:2:0", luma_table=tables, chroma_table=tables)
+    tables = np.full((3, 8, 8), 7.0)
+    file = SimpleNamespace(
+        subsampling="4:2:0", tables=tables, color_space="YCbCr", converted=False, space=None
+    )
     base = given(find_recipe("phone"), file)
     assert [n.name for n in base.chain.nodes][-2:] == ["rounding", "file"]
     assert "jpeg_photoshop" not in {o.node for o in base.open}

@@ -12,8 +12,8 @@ from PIL import Image
 from scipy import ndimage
 
 from experiments.withheld.scenes import scenes
-from jaxisp.gap.diagnose import raw_case
-from jaxisp.gap.pairs.align_raw import in_one_frame
+from jaxisp.gap.diagnose import _laid, raw_case
+from jaxisp.gap.pairs.align_raw import Laid, in_one_frame
 from jaxisp.gap.pairs.headers import of_one_sampling, stated_warp
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.io import read_raw
@@ -107,6 +107,12 @@ def test_a_file_that_samples_chroma_otherwise_is_left_out(tmp_path: Path) -> Non
         assert words in reason
     as_png = [dataclasses.replace(pair, jpeg=None) for pair in loaded]
     assert of_one_sampling(as_png) == (as_png, [])
+    assert loaded[1].jpeg is not None and _laid(Laid(loaded, [], []), ())["encoder_not_modelled"] == []
+    odd = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, subsampling="4:1:1"))
+    (said,) = _laid(Laid([odd, *as_png], [], []), ())["encoder_not_modelled"]
+    assert said["name"] == odd.name and "4:1:1" in said["reason"]
+    own = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, color_space="RGB"))
+    assert "JPEG, 4:4:4, RGB" in of_one_sampling([own, *loaded[2:]])[1][0][1]
     assert "no JPEG" in of_one_sampling([as_png[0], *loaded[1:]])[1][0][1]
 
 

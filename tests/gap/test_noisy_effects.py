@@ -10,7 +10,7 @@ from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.raw_jpeg import candidates
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.pipeline import Gate, run
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.gap.test_effects import VOCABULARY
 
 ONLY_HERE = [e.name for e in EFFECTS.values() if e not in candidates(RAW_JPEG)]

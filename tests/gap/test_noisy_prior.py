@@ -12,7 +12,7 @@ from jaxisp.gap.base.priors import Prior, plain_prior, usual_matrix
 from jaxisp.gap.objective.pixels import Pairs, Problem
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 pytestmark = pytest.mark.optimised
 

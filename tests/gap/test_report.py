@@ -152,6 +152,8 @@ def test_the_command_says_what_is_left_and_warns(capsys):
     assert capsys.readouterr().err == ""
     _warn(changed(pairs=four | {"left_out": [{"name": "e", "reason": "of two scenes"}]}))
     assert capsys.readouterr().err == "jaxisp: e: left out: of two scenes\n"
+    _warn(changed(pairs=four | {"encoder_not_modelled": [{"name": "a", "reason": "it is odd"}]}))
+    assert capsys.readouterr().err == "jaxisp: a: its JPEG encoder is not modelled: it is odd\n"
 
 
 def test_the_command_says_what_an_unknown_gap_is_and_what_to_measure(capsys):
@@ -171,7 +173,10 @@ def test_the_page_says_what_was_done_to_pairs():
     aside = {"left_out": [{"name": "e", "reason": "far off"}], "failed": [{"file": "f", "reason": "f: lost"}]}
     text = shown(changed(pairs=REPORT["pairs"] | aside))
     assert "a moved (2.0, -1.0 px)" in text and "f: lost; e: far off" in text
-    assert "not surely of one scene" in text
+    assert "not surely of one scene" in text and "encoder not modelled" not in text
+    odd = {"encoder_not_modelled": [{"name": "a", "reason": "its sampling is odd"}]}
+    text = shown(changed(pairs=REPORT["pairs"] | odd))
+    assert "JPEG encoder not modelled" in text and "a: its sampling is odd" in text
 
 
 def test_what_would_show_the_rest_is_said():

@@ -8,7 +8,7 @@ from jaxisp.io.datasets import open_dataset
 from jaxisp.io.images import write_png
 from jaxisp.io.jpeg import encode_jpeg, write_jpeg
 from jaxisp.io.orientation import orient
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.io.samples import dng, mosaic
 
 PICTURE = smooth_image((52, 70, 3))

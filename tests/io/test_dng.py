@@ -16,8 +16,10 @@ from jaxisp.io.calibration import (
     adaptation,
     camera_to_srgb,
     camera_to_srgb_d65,
+    mixing_weights,
     neutral_of,
-    temperature,
+    spectrum_xy,
+    temperature_and_tint,
     white_xy,
 )
 from jaxisp.io.opcodes import (
@@ -57,11 +59,13 @@ def test_opcodes_bytes_as_specified():
     assert pack_opcodes([FixVignetteRadial(np.array(doubles[:5]), (0.5, 0.5))]) == by_hand
 
 
-def test_unknown_opcodes_are_passed_over():
+def test_unknown_opcodes_are_told_from_known_ones():
     known = FixVignetteRadial(np.zeros(5), (0.5, 0.5))
     body = pack_opcodes([known])[4:]
-    unknown = bytes.fromhex("00000063 01030000 00000001 00000003 414243")
-    (found,) = parse_opcodes(bytes.fromhex("00000002") + unknown + body)
+    optional = bytes.fromhex("00000063 01030000 00000001 00000003 414243")
+    needed = bytes.fromhex("00000008 01030000 00000000 00000000")
+    first, second, found = parse_opcodes(bytes.fromhex("00000003") + optional + needed + body)
+    assert (first.name, second.name) == ("an opcode of unknown kind 99 (optional)", "MapPolynomial")
     assert found.center == (0.5, 0.5)
 
 
@@ -124,10 +128,37 @@ def test_adaptation_is_colour_sciences_bradford():
     np.testing.assert_allclose(adaptation(a, b), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("kelvin", [2856, 5003, 6504])
-def test_temperature(kelvin):
-    xy = {2856: (0.44757, 0.40745), 5003: (0.34567, 0.35850), 6504: (0.31271, 0.32902)}[kelvin]
-    assert temperature(np.array(xy)) == pytest.approx(kelvin, rel=2e-3)
+@pytest.mark.parametrize(
+    "xy", [(0.44757, 0.40745), (0.3457, 0.3585), (0.31271, 0.32902), (0.38, 0.4), (0.35, 0.33)]
+)
+def test_temperature_and_tint(xy):
+    uv = colour.UCS_to_uv(colour.XYZ_to_UCS(colour.xy_to_XYZ(xy)))
+    kelvin, tint = colour.temperature.uv_to_CCT_Ohno2013(uv)
+    got = temperature_and_tint(np.array(xy))
+    assert got[0] == pytest.approx(kelvin, rel=1e-3)
+    assert got[1] == pytest.approx(tint, abs=3e-4)
+
+
+@pytest.mark.parametrize("name", ["A", "D65", "FL2", "LED-B3"])
+def test_chromaticity_of_a_spectrum(name):
+    """Of the CIE's own spectra, in steps of 5 nm."""
+    power = colour.SDS_ILLUMINANTS[name].copy().align(colour.SpectralShape(380, 780, 5))
+    xy = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"][name]
+    np.testing.assert_allclose(spectrum_xy(380.0, 5.0, power.values), xy, atol=0.003)
+
+
+def test_weights_of_three_illuminants():
+    """One at its own light, its own share elsewhere; the order of the three does not matter."""
+    lights = (17, (0.31271, 0.32902), (0.2990, 0.3149))  # A, D65, D75
+    for i, xy in enumerate([(0.44757, 0.40745), *lights[1:]]):
+        np.testing.assert_allclose(mixing_weights(lights, np.array(xy)), np.eye(3)[i], atol=2e-3)
+    between = mixing_weights(lights, np.array([0.3457, 0.3585]))
+    # by hand from Ohno's 5001.8, 6503.6 and 7504 K, and .0032 of tint: 1 / (distance squared in 1500 K / T
+    # and 15 Duv), smoothed; of A there is less than .02, which counts as none
+    np.testing.assert_allclose(between, [0, 0.7702, 0.2298], atol=5e-3)
+    turned = mixing_weights((lights[2], lights[0], lights[1]), np.array([0.3457, 0.3585]))
+    np.testing.assert_allclose(turned, between[[2, 0, 1]], rtol=1e-9)
+    np.testing.assert_array_equal(mixing_weights((17, 0, 21), np.array([0.3, 0.3])), [1, 0, 0])
 
 
 def _calibration(*illuminants, matrices=(XYZ_TO_CAMERA,), forward=None, balance=(1.0, 1.0, 1.0)):
@@ -153,7 +184,7 @@ def test_white_and_neutral_are_inverse_with_two_illuminants():
 def test_matrices_are_mixed_in_inverse_temperature():
     calibration = _calibration(17, 21, matrices=(np.eye(3), 3 * np.eye(3)))
     xy = np.array([0.3457, 0.3585])
-    kelvin = temperature(xy)
+    kelvin = temperature_and_tint(xy)[0]
     share = (1 / kelvin - 1 / 6500) / (1 / 2850 - 1 / 6500)
     np.testing.assert_allclose(np.diag(calibration.at(xy)[0])[1], share * 1 + (1 - share) * 3, rtol=1e-9)
 

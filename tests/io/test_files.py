@@ -5,13 +5,33 @@ import errno
 import os
 import resource
 import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 import jaxisp.io
 from jaxisp.errors import InputError
-from jaxisp.io.files import atomic_write, filled_folder, find_images, list_folder, output_folder, read_toml
+from jaxisp.io import read_image, read_jpeg, read_raw
+from jaxisp.io.digests import digest_of
+from jaxisp.io.files import (
+    atomic_write,
+    check_file,
+    filled_folder,
+    find_images,
+    list_folder,
+    load_npy,
+    output_file,
+    output_folder,
+    read_json,
+    read_toml,
+    write_text,
+)
+from jaxisp.io.locks import locked
 
 
 def put(folder, *names):
@@ -177,9 +197,9 @@ def test_io_imports_no_jax_itself():
         )
 
 
-def test_what_a_killed_writer_left_is_used_again_and_another_writer_is_not_disturbed(tmp_path):
+def test_a_killed_writer_leaves_nothing_and_another_is_not_disturbed(tmp_path):
     path = tmp_path / "a.bin"
-    (tmp_path / ".a.bin.tmp").write_bytes(b"left by a process that was killed, and longer")
+    (tmp_path / ".a.bin.tmp").write_bytes(b"of somebody else")
     with atomic_write(path) as file:
         file.write(b"one")
         with atomic_write(path) as second:  # as another process would
@@ -187,8 +207,162 @@ def test_what_a_killed_writer_left_is_used_again_and_another_writer_is_not_distu
         assert path.read_bytes() == b"two"
         file.seek(0)
         file.write(b"ONE")
-    assert path.read_bytes() == b"ONE" and [p.name for p in tmp_path.iterdir()] == ["a.bin"]
-    (tmp_path / ".a.bin.tmp").symlink_to(tmp_path / "elsewhere")
-    with atomic_write(path) as file:
-        file.write(b"three")
-    assert path.read_bytes() == b"three" and not (tmp_path / "elsewhere").exists()
+    killed = """if True:
+        import os, signal, sys
+        from jaxisp.io.files import atomic_write
+        with atomic_write(sys.argv[1]) as file:
+            file.write(bytes(1 << 20))
+            os.kill(os.getpid(), signal.SIGKILL)"""
+    assert subprocess.run([sys.executable, "-c", killed, path]).returncode == -signal.SIGKILL
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {
+        "a.bin": b"ONE",
+        ".a.bin.tmp": b"of somebody else",
+    }
+
+
+def test_a_file_system_without_unnamed_files(tmp_path, monkeypatch):
+    monkeypatch.delattr(os, "O_TMPFILE")
+    test_atomic_write(tmp_path)
+    (tmp_path / "a.bin").unlink()
+    test_nothing_is_left_after_an_error(tmp_path, RuntimeError("stop"))
+    monkeypatch.undo()
+    monkeypatch.setattr("jaxisp.io.files._numbered", lambda descriptor: "/nowhere")  # no /proc
+    (tmp_path / "a.bin").unlink()
+    test_atomic_write(tmp_path)
+
+
+def special_files(folder):
+    """What may stand where a file is expected, by name; devices are nodes of this folder."""
+    put(folder, "target")
+    (folder / "link").symlink_to(folder / "target")
+    (folder / "lost link").symlink_to(folder / "nothing")
+    os.mkfifo(folder / "FIFO")
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(folder / "socket"))
+    names = ["link", "lost link", "FIFO", "socket"]
+    with contextlib.suppress(PermissionError):
+        os.mknod(folder / "zero device", stat.S_IFCHR | 0o666, os.makedev(1, 5))
+        os.mknod(folder / "block device", stat.S_IFBLK | 0o666, os.makedev(7, 7))
+        names += ["zero device", "block device"]
+    return names
+
+
+@contextlib.contextmanager
+def as_nobody():
+    """Permissions do not stop root."""
+    if os.geteuid():
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def special_inputs(folder):
+    """Paths that are no file to be read, and what has to be said of each."""
+    said = {"link": "", "lost link": "no such file", "socket": "is a socket", "FIFO": "is a FIFO"}
+    found = {}
+    for name in special_files(folder):
+        if what := said.get(name, "is a device"):
+            found[folder / name] = what
+    put(folder, "closed", "closed folder/a.png")
+    (folder / "closed").chmod(0)
+    (folder / "closed folder").chmod(0)
+    with open(os.fsencode(folder) + b"/\xff\xfe", "wb") as file:
+        file.write(b"x")
+    return found | {
+        folder / "closed": "permission denied",
+        folder / "closed folder": "permission denied",
+        folder / "closed folder" / "a.png": "permission denied",
+        folder / "N\0L": "NUL",
+        Path(os.fsdecode(os.fsencode(folder) + b"/\xff\xfe")): "not UTF-8",
+        folder / ("n" * 255): "no such file",
+        folder / ("n" * 256): "file name too long",
+        folder / ("n/" * 3000): "file name too long",
+    }
+
+
+@pytest.mark.parametrize(
+    "reader", [check_file, digest_of, read_image, read_jpeg, read_raw, load_npy, read_toml, read_json]
+)
+def test_special_inputs_are_refused_at_once(tmp_path, reader):
+    tmp_path.chmod(0o777)
+    tmp_path.parent.chmod(0o755)
+    tmp_path.parent.parent.chmod(0o755)
+    wanted = special_inputs(tmp_path)
+    with as_nobody():
+        for path, what in wanted.items():
+            clock, held = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            with pytest.raises(InputError) as caught:
+                reader(path)
+            assert time.perf_counter() - clock < 1
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - held < 50_000
+            assert str(caught.value).startswith(f"{path}: ") and what in str(caught.value)
+
+
+def test_one_bad_input_of_many_does_not_end_the_rest(tmp_path):
+    tmp_path.chmod(0o777)
+    tmp_path.parent.chmod(0o755)
+    tmp_path.parent.parent.chmod(0o755)
+    (tmp_path / "of").mkdir()
+    (tmp_path / "of" / "shut").mkdir()
+    os.mkfifo(tmp_path / "of" / "FIFO.png")
+    (tmp_path / "of" / "lost.png").symlink_to("nothing")
+    put(tmp_path, "of/fine.png")
+    (tmp_path / "of" / "shut").chmod(0)
+    bad = [*special_inputs(tmp_path), tmp_path / "none.png"]
+    with as_nobody():
+        found = find_images([*bad, tmp_path / "of"], recursive=True)
+        told = {}
+        for path in found:
+            try:
+                check_file(path)
+            except InputError as error:
+                told[path] = str(error)
+        assert [p for p in found if p not in told] == [tmp_path / "of" / "fine.png"]
+        assert told.keys() == {*bad, *(tmp_path / "of" / n for n in ("FIFO.png", "lost.png", "shut"))}
+        assert told[tmp_path / "of" / "shut"].endswith("shut: cannot be read: permission denied")
+        with pytest.raises(InputError, match="cannot be read: permission denied"):
+            list_folder(tmp_path / "of" / "shut")
+
+
+def test_outputs_replace_nothing_but_plain_files(tmp_path):
+    for name in special_files(tmp_path):
+        path = tmp_path / name
+        before = os.lstat(path)
+        for attempt in (lambda p: write_text(p, "x"), output_file):
+            with pytest.raises(InputError) as caught:
+                attempt(path)
+            kind = name.rpartition(" ")[2]
+            assert str(caught.value) == f"{path}: cannot be written: is a {kind}, which is not replaced"
+        assert os.lstat(path) == before and (tmp_path / "target").read_bytes() == b"x"
+
+
+def test_an_output_with_another_name_leaves_that_one_alone(tmp_path):
+    put(tmp_path, "a")
+    os.link(tmp_path / "a", tmp_path / "other")
+    write_text(tmp_path / "a", "new")
+    assert (tmp_path / "other").read_bytes() == b"x"
+
+
+def test_a_lock_is_no_file_of_others(tmp_path):
+    special = special_files(tmp_path)
+    put(tmp_path, "text")
+    for name in (*special, "text"):
+        lock = tmp_path / f"run {name}" / ".lock"
+        lock.parent.mkdir()
+        os.rename(tmp_path / name, lock)
+        before = os.lstat(lock)
+        refused = pytest.raises(InputError, match=r"\.lock: is a .*, where a lock has to be; move it away")
+        with refused, locked(lock.parent):
+            pass
+        assert os.lstat(lock) == before and (tmp_path / "target").read_bytes() == b"x"
+    (tmp_path / "run" / "of").mkdir(parents=True)
+    (tmp_path / "run" / ".lock").touch()  # empty: it may be anybody's, so it is used and stays
+    refused = pytest.raises(InputError, match="another process is writing")
+    with locked(tmp_path / "run"), locked(tmp_path / "run" / "of"), refused, locked(tmp_path / "run" / "of"):
+        pass
+    assert [p.name for p in (tmp_path / "run").iterdir()] == [".lock", "of"]
+    assert not list((tmp_path / "run" / "of").iterdir())

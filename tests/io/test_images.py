@@ -1,5 +1,6 @@
 """Clean photographs: what is read, in which range, and what is refused."""
 
+import contextlib
 import io
 import struct
 import zlib
@@ -12,7 +13,7 @@ from PIL import Image
 from jaxisp.errors import InputError
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.orientation import orient
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 PICTURE = np.rint(smooth_image((21, 34, 3)) * 255).astype(np.uint8)
 
@@ -143,6 +144,54 @@ def test_alpha(tmp_path):
     opaque[3, 4, 3] = 254
     Image.fromarray(opaque).save(tmp_path / "a.png")
     refused(tmp_path / "a.png", "transparent")
+
+
+def tiff(*entries: tuple[int, int, int, int], body: bytes = b"") -> bytes:
+    """Little-endian: (tag, type, count, value) of one directory, and what follows it."""
+    table = b"".join(struct.pack("<HHII", *entry) for entry in sorted(entries))
+    return b"II*\0\x08\0\0\0" + struct.pack("<H", len(entries)) + table + bytes(4) + body
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ((34675, 3, 1, 7), "tag 34675 holds no bytes"),
+        ((256, 4, 1, 2**31), "damaged"),
+        ((257, 4, 1, 2**32 - 1), "damaged"),
+        ((273, 4, 1, 2**32 - 8), "damaged"),
+        ((279, 4, 1, 2**32 - 1), None),
+        ((278, 4, 1, 2**32 - 1), None),
+    ],
+)
+@pytest.mark.parametrize("compression", [1, 5, 8, 32773])
+def test_a_tiff_with_one_number_that_cannot_be(tmp_path, capfd, change, words, compression):
+    """Nothing is printed, by libtiff neither, and nothing is raised but one line."""
+    usual = {256: (3, 1, 2), 257: (3, 1, 2), 258: (3, 3, 146), 259: (3, 1, compression), 262: (3, 1, 2),
+             273: (4, 1, 152), 277: (3, 1, 3), 278: (3, 1, 2), 279: (4, 1, 12)}  # fmt: skip
+    usual[change[0]] = change[1:]
+    body = bytes(146 - 14 - 12 * len(usual)) + struct.pack("<3H", 8, 8, 8) + bytes(range(12))
+    path = tmp_path / "a.tif"
+    path.write_bytes(tiff(*((tag, *rest) for tag, rest in usual.items()), body=body))
+    if words is None and compression == 1:
+        assert read_image(path).shape == (2, 2, 3)
+    else:
+        refused(path, words if words and compression == 1 else "")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", "jpeg", "packbits"])
+def test_what_libtiff_says_is_kept_back(tmp_path, capfd, compression):
+    out = io.BytesIO()
+    Image.fromarray(PICTURE).save(out, "TIFF", compression=compression)
+    rng, data = np.random.default_rng(0), out.getvalue()
+    for _ in range(12):
+        damaged = bytearray(data)
+        for at in rng.integers(8, len(data), 5):
+            damaged[at] = rng.integers(256)
+        (tmp_path / "a.tif").write_bytes(damaged)
+        with contextlib.suppress(InputError):
+            read_image(tmp_path / "a.tif")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_damaged_files(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from jaxisp.pipeline import run, stage
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 H, W = SHAPE = (21, 34)
 CENTRE = np.array([(H - 1) / 2, (W - 1) / 2])

@@ -10,7 +10,7 @@ from scipy.stats import gmean, pmean
 
 from jaxisp.pipeline import run, run_batch, stage
 from jaxisp.stages.auto import AutoExposure, AutoLevel, GrayWorld, WhitePatch, percentile
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 WEIGHTS = np.array([0.299, 0.587, 0.114])
 

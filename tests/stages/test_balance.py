@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from jaxisp import cfa as bayer
-from jaxisp.color import SRGB_TO_XYZ, XYZ_TO_SRGB
-from jaxisp.colorimetry import camera_to_srgb_matrix, illuminant_rgb, planckian_uv
+from jaxisp.colorimetry import illuminant_rgb, planckian_uv
 from jaxisp.pipeline import run, stage
 from jaxisp.stages.balance import (
     ColorMatrix,
@@ -17,7 +16,7 @@ from jaxisp.stages.balance import (
     WhiteBalance,
     WhiteBalanceTemperature,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 CMFS = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 
@@ -184,32 +183,3 @@ def test_hue_rotation_turns_chroma_and_keeps_luma(angle):
     turned = (before[..., 1] + 1j * before[..., 2]) * np.exp(1j * np.deg2rad(angle))
     np.testing.assert_allclose(got[..., 0], before[..., 0], atol=1e-6)
     np.testing.assert_allclose(got[..., 1] + 1j * got[..., 2], turned, atol=1e-6)
-
-
-def test_camera_matrix_undoes_a_white_balanced_camera():
-    """What a camera with these primaries records of an sRGB colour, balanced for D65, comes back."""
-    xyz_to_camera = np.array([[0.6, -0.1, -0.05], [-0.4, 1.2, 0.2], [-0.05, 0.15, 0.6]])
-    matrix = camera_to_srgb_matrix(xyz_to_camera)
-    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-12)
-    rgb = np.random.default_rng(0).uniform(0, 1, (50, 3))
-    recorded = rgb @ SRGB_TO_XYZ.T @ xyz_to_camera.T
-    balanced = recorded / (SRGB_TO_XYZ.sum(axis=1) @ xyz_to_camera.T)
-    np.testing.assert_allclose(balanced @ matrix.T, rgb, atol=1e-12)
-    np.testing.assert_allclose(camera_to_srgb_matrix(XYZ_TO_SRGB), np.eye(3), atol=1e-12)
-
-
-def test_camera_matrix_is_that_of_libraw():
-    """ColorMatrix1 of a Canon EOS 600D's DNG, and LibRaw 0.22's result (of a longer sRGB matrix)."""
-    xyz_to_camera = np.array([[6461, -1164, -857], [-3825, 11597, 2534], [-416, 1540, 6039]]) / 10000
-    libraw = [
-        [1.8177627, -0.964303, 0.14654028],
-        [-0.22892007, 1.7737942, -0.5448741],
-        [-0.01954069, -0.46814167, 1.4876823],
-    ]
-    np.testing.assert_allclose(camera_to_srgb_matrix(xyz_to_camera), libraw, atol=3e-4)
-
-
-@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.ones((3, 4)), np.full((3, 3), np.nan), np.ones((3, 3))])
-def test_bad_camera_matrix_is_refused(bad):
-    with pytest.raises(ValueError, match="xyz_to_camera"):
-        camera_to_srgb_matrix(bad)

@@ -12,7 +12,7 @@ import scipy.stats
 from jaxisp.cfa import PATTERNS
 from jaxisp.stages import defects, sensor
 from jaxisp.stages.denoise.median import median_plane
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SHAPE = (21, 34)
 KINDS = [(defects.hot_pixels, defects.HotPixels, 1.0), (defects.dead_pixels, defects.DeadPixels, 0.0)]

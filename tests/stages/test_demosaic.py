@@ -15,7 +15,7 @@ import skimage.data
 from jaxisp.cfa import PATTERNS, masks, select, shifted
 from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.homogeneity import _cube_root
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SHAPE = (29, 34)
 NAMES = ("bilinear", "malvar", "hibbard", "ahd", "menon", "hamilton_adams", "vng", "edge_aware")

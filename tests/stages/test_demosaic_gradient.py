@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxisp.pipeline import stage
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 from tests.stages.test_demosaic import SHAPE, compiled
 
 VARIANTS = [

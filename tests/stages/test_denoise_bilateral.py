@@ -14,7 +14,7 @@ from jaxisp.stages.denoise.bilateral import (
     bilateral_plane,
     bilateral_planes,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SIZES = ((9, 14), (1, 6), (2, 7))  # radius 2 also reaches beyond both borders
 filtered = jax.jit(bilateral_plane, static_argnums=4)

@@ -13,7 +13,7 @@ from jaxisp.recipes import BILATERAL, RECIPES
 from jaxisp.stages.denoise import grid
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane
 from jaxisp.stages.denoise.grid import grid_planes
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 filtered = jax.jit(grid_planes, static_argnums=(4, 5))
 SHAPE = (57, 70)  # of most tests: compilation is what takes time

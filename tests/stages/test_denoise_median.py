@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from jaxisp.stages.denoise.median import Median, median, median_plane
 from jaxisp.stages.denoise.networks import MEDIAN_3X3, MEDIAN_5, MEDIAN_5X5, SORT_3, SORT_5, compare
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 FOOTPRINTS = {
     "cross": np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool),

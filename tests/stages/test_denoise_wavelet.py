@@ -16,7 +16,7 @@ from jaxisp.stages.denoise.wavelet import (
     soft_threshold,
     wavelet_coring,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 cored = jax.jit(core_plane, static_argnums=(3, 4, 5))
 

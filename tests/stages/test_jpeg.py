@@ -11,7 +11,7 @@ from PIL import Image, JpegPresets
 
 from jaxisp.jpeg.tables import PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
 from jaxisp.stages.jpeg import Jpeg, JpegPhotoshop, JpegTables, jpeg, jpeg_photoshop, jpeg_tables
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SAMPLINGS = ("4:4:4", "4:2:2", "4:2:0")
 

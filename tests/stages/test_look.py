@@ -17,7 +17,7 @@ from jaxisp.stages.look import (
     _by_hue,
     _reflected_gaussian,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 LUMA = np.array([0.299, 0.587, 0.114])
 

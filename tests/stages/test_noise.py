@@ -12,7 +12,7 @@ from scipy import special, stats
 from jaxisp.pipeline import run, stage
 from jaxisp.stages import noise
 from jaxisp.stages.noise import light
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SHAPE = (128, 257)
 PIXELS = SHAPE[0] * SHAPE[1]

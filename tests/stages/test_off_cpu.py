@@ -14,7 +14,7 @@ from jaxisp.recipes import RECIPES
 from jaxisp.stages.denoise.bilateral import bilateral_planes
 from jaxisp.stages.denoise.grid import grid_planes
 from jaxisp.stages.jpeg import Jpeg, jpeg
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 
 @pytest.fixture

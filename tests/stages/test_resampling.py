@@ -16,7 +16,7 @@ from jaxisp.stages.resampling import (
     rescaling,
     resize,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 FILTERS = {
     "bilinear": Image.Resampling.BILINEAR,

@@ -10,7 +10,7 @@ from skimage.util import img_as_ubyte
 
 from jaxisp.cfa import PATTERNS
 from jaxisp.stages import sensor
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SHAPE = (21, 34)
 

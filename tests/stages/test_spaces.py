@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxisp.pipeline import REGISTRY, Chain, run, stage
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 SRGB = colour.RGB_COLOURSPACES["sRGB"]
 ROMM = colour.RGB_COLOURSPACES["ProPhoto RGB"]

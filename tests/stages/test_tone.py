@@ -19,7 +19,7 @@ from jaxisp.stages.tone import (
     ToneCurve,
     ZoneCurve,
 )
-from tests.conftest import smooth_image
+from jaxisp.testing import smooth_image
 
 RAMP = np.linspace(0, 1, 301)
 WIDE = np.sort(np.concatenate([np.linspace(-1, 3, 301), [0.0, 1e-4, 1e-3, 1.0]]))

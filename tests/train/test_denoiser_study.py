@@ -21,8 +21,8 @@ from experiments.denoisers.classical import METHODS, denoiser
 from experiments.denoisers.pairs import as_pair
 from experiments.denoisers.training import FITTED, SCALES, Place, configuration
 from jaxisp.recipes import RECIPES
+from jaxisp.testing import smooth_image
 from jaxisp.train import evaluate_pairs
-from tests.conftest import smooth_image
 
 
 @pytest.fixture

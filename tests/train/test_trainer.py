@@ -22,12 +22,12 @@ from PIL import Image
 from jaxisp.errors import InputError
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
+from jaxisp.testing import smooth_image
 from jaxisp.train import TrainConfig, load_denoiser, train
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.folder import begin
 from jaxisp.train.logs import Log, read_rows
 from jaxisp.train.step import LOSSES
-from tests.conftest import smooth_image
 
 SMALL = {
     "recipe": "awgn", "model": "dncnn6", "model_options": {"depth": 3, "features": 16}, "steps": 4,

@@ -10,7 +10,8 @@ import numpy as np
 from jaxisp.gap.base import cfa_phase, raw_jpeg
 from jaxisp.gap.base.absorbed import noise_taken_up, taken_up
 from jaxisp.gap.base.given import Given, of_recipe
-from jaxisp.gap.base.given_camera import check_camera, of_camera
+from jaxisp.gap.base.given_camera import of_camera
+from jaxisp.gap.base.given_chain import check_camera
 from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.noise import fit_noise, rebased
 from jaxisp.gap.base.open_numbers import fit_open

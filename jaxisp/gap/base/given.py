@@ -12,7 +12,15 @@ import jax
 import numpy as np
 
 from jaxisp.camera import with_cfa
-from jaxisp.gap.base.given_chain import check_recipe, demosaics, flat_nodes, makes_mosaic, renamed, with_file
+from jaxisp.gap.base.given_chain import (
+    check_recipe,
+    demosaics,
+    flat_nodes,
+    makes_mosaic,
+    on_own_stage,
+    renamed,
+    with_file,
+)
 from jaxisp.gap.base.plain_clean import read_out
 from jaxisp.gap.base.raw_jpeg import with_choice
 from jaxisp.gap.objective.pixels import to_steps
@@ -148,18 +156,9 @@ class Given:
         return dataclasses.replace(moved, base=self.free(moved.shared))
 
     def _moves(self, effect: Effect) -> tuple[Coordinate, ...]:
-        """How an effect acts that the simulator has as a stage: on its constants, from their values."""
-        opened = {(o.node, o.field, o.index) for o in self.open}
-        found = []
-        for m in effect.moves:
-            if (effect.name, m.field, m.index) in opened:
-                continue
-            params = self.params[effect.name]
-            value = float(np.asarray(getattr(params, m.field))[m.index])
-            low, high = specs(type(params))[m.field].bounds
-            low, high = max(m.low, low - value), min(m.high, high - value)
-            found.append(Coordinate(effect.name, dataclasses.replace(m, low=low, high=high)))
-        return tuple(found)
+        """How an effect acts that the simulator has as a stage, beside what of it is open."""
+        opened = {(o.field, o.index) for o in self.open if o.node == effect.name}
+        return on_own_stage(effect, self.params[effect.name], opened)
 
     def _noise_moves(self) -> tuple[Coordinate, ...]:
         """The sensor's noise stronger or weaker than the simulator's constants have it."""

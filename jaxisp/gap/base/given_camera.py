@@ -11,10 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import WHITE_BALANCE, with_cfa
-from jaxisp.domains import ENCODED, MOSAIC, accepts
-from jaxisp.errors import InputError
 from jaxisp.gap.base.given import Given, Open, believed
-from jaxisp.gap.base.given_chain import demosaics, flat_nodes, renamed, with_file
+from jaxisp.gap.base.given_chain import check_camera, flat_nodes, renamed, with_file
 from jaxisp.gap.base.plain_clean import Camera, narrowed
 from jaxisp.gap.base.raw_jpeg import with_choice
 from jaxisp.gap.gauss_newton import fit
@@ -31,18 +29,6 @@ from jaxisp.stages.balanced_noise import BalancedNoise
 _TONE, _MATRIX, _NOISE = "scene_tone", "scene_matrix", "balanced_noise"
 _OPEN = {"shot": (2e-5, 0.1), "read": (3e-4, 0.2), "red_gain": (0.2, 8.0), "blue_gain": (0.2, 8.0)}
 _ABSORBED = ("tone_curve", "color_matrix", "white_balance")
-
-
-def check_camera(camera: Recipe) -> None:
-    """Raise InputError unless it turns a mosaic into encoded sRGB, demosaicking it once."""
-    nodes = list(flat_nodes(camera.chain.nodes, camera))
-    chain = Chain(tuple(nodes))
-    times = sum(map(demosaics, nodes))
-    if not accepts(chain.domain_in, MOSAIC) or chain.domain_out != ENCODED or times != 1:
-        raise InputError(
-            f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}, demosaicking "
-            f"{times} times; a diagnosis needs mosaic into encoded sRGB, demosaicked once"
-        )
 
 
 def of_camera(

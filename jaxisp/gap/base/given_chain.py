@@ -1,7 +1,7 @@
 """A given simulator's nodes, made ready to be a base: no switches, names of their own, the file's end."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,9 @@ from jaxisp.domains import CAMERA, ENCODED, MOSAIC, accepts
 from jaxisp.errors import InputError
 from jaxisp.gap.base.plain_clean import encoder_of
 from jaxisp.gap.simulator.effects import Effect
-from jaxisp.gap.simulator.model import is_file
+from jaxisp.gap.simulator.model import Coordinate, is_file
 from jaxisp.io.jpeg import Jpeg
+from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Shuffle, Stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
@@ -62,16 +63,62 @@ def check_recipe(nodes: Sequence[Node], recipe: Recipe) -> None:
         )
 
 
-def renamed(nodes: Sequence[Node], effects: Sequence[Effect]) -> tuple[list[Node], dict[str, str]]:
-    """The nodes, those renamed that have an effect's name and are another stage; and new names by old."""
+def check_camera(camera: Recipe) -> None:
+    """Raise InputError unless it turns a mosaic into encoded sRGB, demosaicking it once."""
+    nodes = list(flat_nodes(camera.chain.nodes, camera))
+    chain = Chain(tuple(nodes))
+    times = sum(map(demosaics, nodes))
+    if not accepts(chain.domain_in, MOSAIC) or chain.domain_out != ENCODED or times != 1:
+        raise InputError(
+            f"camera {camera.name!r} turns {chain.domain_in.name} into {chain.domain_out.name}, demosaicking "
+            f"{times} times; a diagnosis needs mosaic into encoded sRGB, demosaicked once"
+        )
+
+
+def renamed(
+    nodes: Sequence[Node], effects: Sequence[Effect], apart: Sequence[str] = ()
+) -> tuple[list[Node], dict[str, str]]:
+    """The nodes, those renamed that have an effect's name and are another stage, or that are named as what is
+    to stay apart from the effect; and new names by old."""
     fns = {e.name: e.node.fn for e in effects if isinstance(e.node, Stage)}
     names, found = {}, []
     for node in nodes:
-        if isinstance(node, Stage) and node.name in fns and node.fn is not fns[node.name]:
+        if isinstance(node, Stage) and node.name in fns and not _acts_on(node, fns, apart):
             names[node.name] = f"own_{node.name}"
             node = dataclasses.replace(node, name=names[node.name])
         found.append(node)
     return found, names
+
+
+def _acts_on(node: Stage, fns: Mapping[str, Callable[..., Any]], apart: Sequence[str]) -> bool:
+    return node.fn is fns[node.name] and node.name not in apart
+
+
+def on_own_stage(
+    effect: Effect, params: Any, opened: Container[tuple[str, tuple[int, ...]]] = ()
+) -> tuple[Coordinate, ...]:
+    """How an effect acts that the simulator has as a stage: on its constants, from their values and within
+    the bounds of its parameters. A constant that has no room to move is left out.
+
+    Args:
+        effect: its node is the simulator's.
+        params: of that stage.
+        opened: (field, index) of what moves besides.
+    """
+    found = []
+    for m in effect.moves:
+        if (m.field, m.index) in opened:
+            continue
+        value = float(np.asarray(getattr(params, m.field))[m.index])
+        low, high = specs(type(params))[m.field].bounds
+        low, high = max(m.low, low - value), min(m.high, high - value)
+        room = max(high, -low)
+        if room <= 0:
+            continue
+        step = float(np.copysign(min(abs(m.step), room), m.step))
+        far = tuple(v for v in m.far if low <= v <= high)
+        found.append(Coordinate(effect.name, dataclasses.replace(m, low=low, high=high, step=step, far=far)))
+    return tuple(found)
 
 
 def with_file(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:

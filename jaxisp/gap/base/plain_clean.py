@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.encoder import encoder_of as stated_encoder
 from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.simulator.effects import Effect, Move
 from jaxisp.gap.simulator.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
@@ -14,7 +15,6 @@ from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import ChromaSubsampling
-from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.power import Gamma
 
 NOISE = ("shot", "read", "red_gain", "blue_gain")
@@ -113,13 +113,7 @@ class Camera:
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
     """What the file did to the picture, by its header; rounding where that says nothing."""
-    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
-        return stage("rounding"), {}
-    encoder = stage("jpeg_tables", subsampling=file.subsampling)
-    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
-    return Stage(encoder.fn, "file", encoder.static), {
-        "file": JpegTables(luma_table=luma, chroma_table=chroma)
-    }
+    return stated_encoder(file, "file") or (stage("rounding"), {})
 
 
 def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jaxisp.camera import params_for, shaded_mosaic, with_cfa
 from jaxisp.color import srgb_to_linear
 from jaxisp.errors import InputError, meant
 from jaxisp.gap.base.absorbed import taken_up
+from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.palette import is_colourless, typical_matrix
 from jaxisp.gap.case import LEAST_UNIT, NULL_DROP, Gap
 from jaxisp.gap.gauss_newton import fit
@@ -20,11 +21,13 @@ from jaxisp.gap.objective.pixels import Pairs, Problem, floor_difference, floor_
 from jaxisp.gap.pairs.headers import stated_warp
 from jaxisp.gap.simulator.effects import EFFECTS, RAW_JPEG, Effect
 from jaxisp.gap.simulator.model import (
+    HALVED,
     ROOTED,
     Choice,
     Coordinate,
     Model,
     build,
+    is_file,
     plain_camera,
     plain_freedom,
     rooted,
@@ -32,14 +35,16 @@ from jaxisp.gap.simulator.model import (
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
-from jaxisp.pipeline import Chain, Stage, run, stage
+from jaxisp.pipeline import Chain, Node, Params, Stage, run, stage
+from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
+from jaxisp.stages.choice import DEMOSAICKERS, ChromaSubsampling, Demosaicking, demosaicking
 from jaxisp.stages.optics import RectilinearWarp
 
 SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
+_SAMPLING = "chroma_subsampling"
 _GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
 
@@ -134,10 +139,7 @@ def raw_model(
     loaded: Sequence[Loaded], pairs: Pairs, effects: Sequence[Effect], fit_on: Sequence[int]
 ) -> Base:
     """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
-    raws = [p.raw for p in loaded if p.raw is not None]
-    cfa, jpeg = raws[0].cfa, loaded[0].jpeg
-    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
-        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    (raws, cfa), jpeg = _raws(loaded), loaded[0].jpeg
     sampling = jpeg.subsampling if jpeg else "4:4:4"
     gains, matrix, usual = _start(raws, pairs, cfa)
     balance = WhiteBalance(gains=np.asarray(gains, np.float32))
@@ -161,6 +163,15 @@ def raw_model(
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
     said = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=said, unsaid=("color_matrix",))
+
+
+def _raws(loaded: Sequence[Loaded]) -> tuple[list[Raw], str]:
+    """The RAW of each pair, and the colour filter array that all have."""
+    raws = [p.raw for p in loaded if p.raw is not None]
+    cfa = raws[0].cfa
+    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
+        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    return raws, cfa
 
 
 def _all_told(base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None]) -> bool:
@@ -221,18 +232,57 @@ def _neutral(balance: WhiteBalance) -> WhiteBalance:
 
 
 def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
-    """A given camera, whose parameters are believed, with what each RAW states put in."""
-    raws = [p.raw for p in loaded if p.raw is not None]
-    chain = with_cfa(camera.chain, raws[0].cfa)
-    if (chain.domain_in.name, chain.domain_out.name) != ("mosaic", "encoded sRGB") or not isinstance(
-        chain, Chain
-    ):
-        raise InputError("the camera must turn a mosaic into encoded sRGB")
+    """A given camera, whose parameters are believed, with what each RAW states put in.
+
+    An effect that the camera has as a stage of the same name acts on that stage, unless each RAW states its
+    parameters or the effect is searched for. It is left out where it has no room to act, and demosaicking
+    where the camera's own is no known algorithm.
+
+    Raises:
+        InputError: it does not turn a mosaic into encoded sRGB, or draws noise or parameters at random.
+    """
+    check_camera(camera)
+    raws, cfa = _raws(loaded)
     own = [params_for(camera, raw) for raw in raws]
-    stated = [name for name in camera.meta.get("from_file", []) if name in own[0]]
-    per_pair = {name: jax.tree.map(lambda *v: np.stack(v), *(o[name] for o in own)) for name in stated}
-    shared = {name: value for name, value in own[0].items() if name not in stated}
-    return build(with_choice(chain), shared, per_pair, [], effects)
+    stated = [n for n, believed in camera.prior.items() if any(o[n] is not believed for o in own)]
+    searched = [e.name for e in effects if any(m.grid for m in e.moves)]
+    flat = [with_cfa(node, cfa) for node in flat_nodes(camera.chain.nodes, camera)]
+    drawn = [n.name for n in flat if n.stochastic or any(map(is_distribution, _leaves(own[0].get(n.name))))]
+    if drawn:
+        raise InputError(
+            f"camera {camera.name!r}: {', '.join(drawn)} draws at random; beside a RAW, which has its noise, "
+            "a diagnosis needs a camera without noise whose parameters are numbers"
+        )
+    nodes, names = renamed(flat, effects, [*stated, *searched])
+    nodes, sampling = _sampled(nodes, loaded[0].jpeg)
+    chain = with_choice(Chain(tuple(nodes), camera.name))
+    shared = {names.get(n, n): value for n, value in own[0].items() if n not in stated} | sampling
+    per_pair = {names.get(n, n): jax.tree.map(lambda *v: np.stack(v), *(o[n] for o in own)) for n in stated}
+    there = {s.name for s in chain.stages()}
+    tried = [e for e in effects if e.site != "demosaic" or e.name in there]
+    model = build(chain, shared, per_pair, [], tried)
+    acting = {e.name: on_own_stage(e, model.shared[e.name]) for e in tried if e.name in there}
+    moving = {name: acting.get(name, moves) for name, moves in model.effects.items()}
+    return dataclasses.replace(model, effects={name: moves for name, moves in moving.items() if moves})
+
+
+def _leaves(params: Any) -> list[Any]:
+    return jax.tree.leaves(params, is_leaf=is_distribution)
+
+
+def _sampled(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
+    """The nodes with chroma sampled as the file states, or as the camera's own encoder has it where no file
+    states it, in place of what they do as a file; and the parameters of that."""
+    kept, sampling = list(nodes), "" if file is None else file.subsampling
+    while isinstance(last := kept[-1], Stage) and is_file(last):
+        sampling = sampling or str(last.options.get("subsampling", ""))
+        kept.pop()
+    if sampling not in HALVED:
+        return kept, {}
+    name = f"file_{_SAMPLING}" if any(n.name == _SAMPLING for n in kept) else _SAMPLING
+    horizontal, vertical = (np.float32(share) for share in HALVED[sampling])
+    halved = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
+    return [*kept, stage(_SAMPLING, name=name)], {name: halved}
 
 
 def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:

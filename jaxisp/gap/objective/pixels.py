@@ -16,14 +16,14 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
+from jaxisp.encoder import encoder_of
 from jaxisp.gap.axes.regression import where
 from jaxisp.gap.case import Ladders, Rows
 from jaxisp.gap.pairs.scenes import by_scene, scene_name
 from jaxisp.gap.parallel import each
 from jaxisp.gap.simulator.model import Choice, Model
 from jaxisp.io import Jpeg
-from jaxisp.pipeline import run, stage
-from jaxisp.stages.jpeg import JpegTables
+from jaxisp.pipeline import run
 
 BORDER = 8
 
@@ -225,6 +225,8 @@ class Problem:
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""
         n = len(self.target)
+        if not which:
+            return np.zeros((n, 0, 0)), np.zeros((n, 0))
         stacked = np.stack([self.columns[i].reshape(n, -1) for i in which], 1)
         scale = 1 / self.counts[:, None]
         gram, right = map(np.asarray, _products(stacked, self.residual.reshape(n, -1)))
@@ -276,8 +278,5 @@ def floor_errors(problem: Problem, difference: np.ndarray) -> np.ndarray:
 
 def as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
     """(H, W, 3) encoded, as a file with this one's header would have it; rounded where that says nothing."""
-    if file is None or file.subsampling not in ("4:4:4", "4:2:2", "4:2:0"):
-        return np.round(255 * picture) / 255
-    luma, chroma = (np.asarray(t, np.float32) for t in (file.luma_table, file.chroma_table))
-    encoder = stage("jpeg_tables", subsampling=file.subsampling)
-    return np.asarray(run(encoder, {encoder.name: JpegTables(luma_table=luma, chroma_table=chroma)}, picture))
+    own = encoder_of(file)
+    return np.round(255 * picture) / 255 if own is None else np.asarray(run(*own, picture))

@@ -361,6 +361,9 @@ class StatisticsProblem:
         self.columns.update(zip(new, each(column, new)))
 
     def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        if not which:
+            n = len(self.difference)
+            return np.zeros((n, 0, 0)), np.zeros((n, 0))
         spoiled = self._spoiled(self.difference)
         count = spoiled.shape[1]
         columns = np.stack([self.columns[i] for i in which], 1)

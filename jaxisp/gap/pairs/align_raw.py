@@ -75,7 +75,7 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
         assert pair.raw is not None
         off, scale = (place.dy, place.dx), (place.scale_y, place.scale_x)
         other_size = pair.raw.mosaic.shape != pair.picture.shape[:2]
-        certain = same_scene(place, pair.picture.shape)
+        certain = same_scene(place, pair.raw.mosaic.shape, pair.picture.shape)
         if not certain and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
             reason = f"the two files do not show one scene: their correlation is {place.correlation:.2f}"
             laid.failed.append((pair.name, f"{pair.name}: {reason}"))

@@ -52,4 +52,7 @@ def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[
 
 
 def _sampling(pair: Loaded) -> str:
-    return f"JPEG, {pair.jpeg.subsampling}" if pair.jpeg else "no JPEG"
+    if pair.jpeg is None:
+        return "no JPEG"
+    kind = f"JPEG, {pair.jpeg.subsampling}" + ", RGB" * (pair.jpeg.color_space == "RGB")
+    return kind + ", in another colour space than sRGB" * pair.jpeg.converted

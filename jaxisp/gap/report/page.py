@@ -352,6 +352,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     absorbed = ", ".join(name + share for name, share in shares)
     aside = [f["reason"] for f in pairs.get("failed", ())]
     aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
+    unmodelled = (f"{p['name']}: {p['reason']}" for p in pairs.get("encoder_not_modelled", ()))
     laid = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
     placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in laid)
     rows = [
@@ -368,6 +369,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             ", ".join(p["name"] for p in pairs.get("aligned", ()) if not p["certain"]),
         ),
         ("left aside", "; ".join(aside)),
+        ("JPEG encoder not modelled", "; ".join(unmodelled)),
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]

@@ -27,7 +27,7 @@ COMPANDING, EXPANSION = "companding", "expansion"
 """What may be done to the mosaic before it is demosaicked, and the node that undoes it."""
 ROOTED = 0.98
 """The share of its error on linear values that demosaicking must leave on square roots to be taken for it."""
-_FILE_STAGES = ("rounding", "jpeg", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
+_FILE_STAGES = ("rounding", "jpeg", "jpeg_file", "jpeg_tables", "jpeg_photoshop", "adc_quantization")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,111 @@
+"""Ctrl-C and SIGTERM end the process within two seconds, with one line and a status of 130 or 143.
+
+The main thread unwinds, so that nothing half-made is left. Compilers and solvers do not return to Python
+for longer than that: a thread then ends the process. All outputs are whole or not there at any moment.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+LINE = "jaxisp: interrupted; files already written are complete"
+_CURSOR = b"\r\x1b[?25h"
+"""Shows the cursor, which a progress bar has hidden."""
+GRACE = 1.2
+"""Seconds that the main thread has."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the process to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class _Watch:
+    """What the process knows of signals; there is one process, so there is one of these."""
+
+    came: int | None = None
+    grace = GRACE
+    status: int | None = None
+    on = False
+    told = threading.Lock()
+    errors = 2
+    """Standard error, where a signal has not silenced it."""
+
+
+_watch = _Watch()
+
+
+def watch() -> None:
+    """Take SIGINT and SIGTERM from now on. For processes of our own, once, from the main thread."""
+    if _watch.on or threading.current_thread() is not threading.main_thread():
+        return
+    _watch.on = True
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    # the system's handler writes the number at once, whatever the main thread does
+    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _raise)
+    _watch.errors = os.dup(2)
+    threading.Thread(target=_end, args=(read,), daemon=True, name="jaxisp-signals").start()
+
+
+def allow(seconds: float = GRACE, status: int | None = None) -> None:
+    """Give what is being done this long once a signal came, and end with this status instead of 128 + N."""
+    _watch.grace, _watch.status = seconds, status
+
+
+def came() -> int | None:
+    """The signal that asked the process to end, if one did."""
+    return _watch.came
+
+
+def status_of(number: int) -> int:
+    return 128 + number if _watch.status is None else _watch.status
+
+
+def tell() -> None:
+    """Print the one line, unless it was printed."""
+    if not _watch.on:
+        print(LINE, file=sys.stderr)
+    elif _watch.told.acquire(blocking=False):
+        if os.isatty(_watch.errors):
+            os.write(_watch.errors, _CURSOR)
+        os.write(_watch.errors, LINE.encode() + b"\n")
+
+
+def leave(status: int) -> None:
+    """End the process at once: what others registered for its end may wait for threads that compute."""
+    with contextlib.suppress(Exception):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
+
+
+def _raise(number: int, frame: Any) -> None:
+    _watch.came = _watch.came or number
+    # what is raised within an import, a destructor or another thread is printed there, by C too
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    raise Stopped(number)
+
+
+def _end(pipe: int) -> None:
+    """Wait for a signal, then for the main thread, and end the process."""
+    number = 0
+    while number not in (signal.SIGINT, signal.SIGTERM):
+        number = os.read(pipe, 1)[0]
+    _watch.came = _watch.came or number
+    until = time.monotonic() + _watch.grace
+    while time.monotonic() < until:
+        time.sleep(0.02)
+    tell()
+    os._exit(status_of(number))

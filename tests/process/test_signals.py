@@ -1,0 +1,72 @@
+"""Ctrl-C and SIGTERM: one line, 130 or 143, within two seconds; training that is not finished is never 0."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from experiments.abuse.stop import ENDINGS
+from jaxisp.io import write_png
+from jaxisp.process.signals import LINE
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize(
+    "what",
+    [
+        "time.sleep(60)",
+        'hashlib.pbkdf2_hmac("sha256", b"a", b"b", 10**9)',  # does not return to Python, as compilers
+        """try:  # as libraries do
+        time.sleep(60)
+    except BaseException:
+        raise RuntimeError from None""",
+    ],
+)
+def test_one_line_and_the_status(number, what):
+    program = f"""
+import hashlib, os, subprocess, sys, time
+from jaxisp import __main__ as process
+import jaxisp.cli
+def busy(arguments):
+    subprocess.Popen(["sh", "-c", f"sleep 0.2; kill -{int(number)} {{os.getpid()}}"])
+    {what}
+jaxisp.cli.listings.run_recipes = busy
+sys.argv[1:] = ["recipes"]
+from jaxisp.process import signals
+signals.watch()
+sys.exit(process.main())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
+    assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
+
+
+@pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
+def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
+    (tmp_path / "in").mkdir()
+    write_png(tmp_path / "in" / "p.png", np.zeros((24, 30, 3)))
+    words = "--recipe awgn --model fast --steps 100000 --batch 1 --patch 12 --downsample 1 --validation 1"
+    places = ["--clean", str(tmp_path / "in"), "-o", str(tmp_path / "run")]
+    command = [sys.executable, "-m", "jaxisp", "train", *places]
+    process = subprocess.Popen(
+        [*command, *words.split(), "--log-every", "1", "--cpu-devices", "1", "--grace", "30", *flags],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    log = tmp_path / "run" / "log.csv"
+    while not log.exists() or log.stat().st_size < 200:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (status, LINE + "\n") and "go on with --resume" in out
+    assert (tmp_path / "run" / "checkpoints" / "last").is_dir() and not (tmp_path / "run" / ".lock").exists()
+
+
+def test_a_stop_status_of_0_is_refused(capsys):
+    from jaxisp.cli import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["train", "-o", "run", "--stop-status", "0"])
+    assert ended.value.code == 2 and "0 means that it is finished" in capsys.readouterr().err

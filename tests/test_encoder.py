@@ -1,0 +1,90 @@
+"""The encoder that a file's header states, against the pixels that libjpeg decodes from that file."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+
+from jaxisp.encoder import encoder_of, no_encoder
+from jaxisp.gap.objective.pixels import as_stored
+from jaxisp.io.jpeg import decode_jpeg
+from jaxisp.testing import smooth_image
+from tests.io.profiles import (
+    COLORANTS,
+    GAMMA_1,
+    SRGB_CURVE,
+    grey_tables,
+    parametric,
+    power,
+    profile,
+    sampled,
+)
+
+PICTURE = np.rint(smooth_image((40, 56, 3)) * 255).astype(np.uint8)
+
+
+def coded(picture: np.ndarray = PICTURE, **options):
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "JPEG", **options)
+    return decode_jpeg(out.getvalue(), "a.jpg")
+
+
+def flat(*steps: int) -> list[list[int]]:
+    return [[step] * 64 for step in steps]
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"quality": 80}, "jpeg_tables"),
+        ({"qtables": flat(8, 16), "subsampling": "4:2:2"}, "jpeg_tables"),
+        ({"qtables": flat(8, 16, 60), "subsampling": "4:2:0"}, "jpeg_file"),
+        ({"qtables": flat(8, 400), "subsampling": "4:4:4"}, "jpeg_file"),
+        ({"qtables": flat(8, 65535, 300), "subsampling": "4:2:2"}, "jpeg_file"),
+        ({"keep_rgb": True, "qtables": flat(5, 20, 60)}, "jpeg_file"),
+    ],
+)
+@pytest.mark.optimised
+def test_it_does_to_the_picture_what_the_file_did(options, kind):
+    file = coded(**options)
+    encoder, params = encoder_of(file)
+    assert (encoder.fn.__name__, encoder.name, list(params)) == (kind, "jpeg_tables", ["jpeg_tables"])
+    assert no_encoder(file) is None
+    assert np.abs(file.pixels.astype(int) - PICTURE).mean() > 1.5, "the file changed the picture"
+    stored = as_stored((PICTURE / 255).astype(np.float32), file)
+    np.testing.assert_array_equal(np.rint(stored * 255), file.pixels)
+
+
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+@pytest.mark.parametrize("name", ["Display P3", "Adobe RGB (1998)", "ITU-R BT.2020"])
+@pytest.mark.parametrize("curve", [power(2.2), parametric(*SRGB_CURVE)], ids=["gamma", "sRGB"])
+@pytest.mark.optimised
+def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
+    """The file is converted by littleCMS, coded by libjpeg, and read back."""
+    icc = profile(name, COLORANTS[name], curve)
+    spaces = ImageCms.createProfile("sRGB"), ImageCms.ImageCmsProfile(io.BytesIO(icc))
+    there = ImageCms.buildTransform(*spaces, "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC)
+    own = np.asarray(ImageCms.applyTransform(Image.fromarray(PICTURE), there))
+    file = coded(own, quality=88, subsampling=subsampling, icc_profile=icc)
+    assert encoder_of(file)[0].fn.__name__ == "jpeg_file" and no_encoder(file) is None
+    stored = as_stored((PICTURE / 255).astype(np.float32), file)
+    off = np.abs(stored * 255 - file.pixels)
+    assert off.mean() < 0.1, off.mean()
+
+
+def test_what_is_not_modelled_is_said():
+    icc = profile("grey", COLORANTS["sRGB"], GAMMA_1, connection=b"Lab ", tables=grey_tables())
+    file = coded(icc_profile=icc)
+    assert file.converted and encoder_of(file) is None and "made of tables" in no_encoder(file)
+    np.testing.assert_array_equal(as_stored(np.full((8, 8, 3), 0.5, np.float32), file) * 255, 128)
+    dented = profile("dented", COLORANTS["Display P3"], sampled([0, 0.5, 0.4, 1]))
+    assert "do not rise" in no_encoder(coded(icc_profile=dented))
+    out = io.BytesIO()
+    Image.fromarray(PICTURE).save(out, "JPEG", subsampling="4:2:0")
+    data = bytearray(out.getvalue())
+    at = data.index(b"\xff\xc0") + 11
+    data[at] = 0x12  # luma twice as high as chroma alone
+    file = decode_jpeg(bytes(data), "a.jpg")
+    assert encoder_of(file) is None and "4:4:0" in no_encoder(file)
+    assert encoder_of(None) is None

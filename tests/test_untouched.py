@@ -1,0 +1,175 @@
+"""Nothing that stood there before a command changes, but the outputs that it names."""
+
+import hashlib
+import os
+import shutil
+import stat
+
+import numpy as np
+import pytest
+
+from jaxisp.camera import standard_camera
+from jaxisp.cli import main
+from jaxisp.io import write_png
+from jaxisp.samples import PHONES, scenes, write_pairs
+from jaxisp.testing import smooth_image
+from tests.io.test_files import special_files
+
+TRAIN = (
+    "--recipe awgn --model fast --steps 1 --batch 1 --patch 12 --downsample 1 --validation 1 --cpu-devices 1"
+)
+FIT = "--steps 1 --demosaic demosaic_bilinear --median none"
+COMMANDS = {
+    "demo": ("demo --out out", ()),
+    "develop": ("develop pairs/scene0.dng -o out/a.png", ("out/a.png",)),
+    "fit": (
+        f"fit pairs -o out/camera.toml --recipe out/prior.toml --report out {FIT}",
+        ("out/camera.toml", "out/prior.toml", "out/report.html"),
+    ),
+    "recipe": ("recipe cameras/a.toml -o out/b.toml", ("out/b.toml",)),
+    "degrade": (
+        "degrade clean -o out --recipe awgn",
+        ("out/p_000.clean.png", "out/p_000.noisy.png", "out/p_000.toml"),
+    ),
+    "degrade resumed": (
+        "degrade clean -o out --recipe awgn --resume",
+        ("out/p_000.clean.png", "out/p_000.noisy.png", "out/p_000.toml"),
+    ),
+    "shards": (
+        "degrade clean -o out --recipe awgn --shards 1",
+        ("out/shard-00000-of-00001.array_record", "out/shard-00000-of-00001.json"),
+    ),
+    "train": (f"train --clean clean -o out {TRAIN}", ()),
+    "denoise": ("denoise --run run clean -o out", ("out/p.png",)),
+    "evaluate": ("evaluate --run run cn", ()),
+    "diagnose": ("diagnose pairs -o out", ("out/report.json", "out/report.html")),
+}
+ALWAYS_OURS = {  # what is not named by a call is not to be replaced: refused, or left as it is
+    "demo": ("run/notes.txt", "pairs/mine.jpg", "camera.toml", "report.html"),
+    "degrade": ("dataset.toml", ".lock"),
+    "shards": ("recipe.toml", "manifest.json", ".lock"),
+    "train": ("recipe.toml", "MODEL_CARD.md", "log.csv", "checkpoints/last/model.ckpt", ".lock"),
+}
+WHOLE = ("develop", "fit", "degrade", "degrade resumed", "shards", "train", "denoise", "evaluate", "diagnose")
+SLOW = ("fit", "diagnose")
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """What the commands read; it is looked at, too."""
+    folder = tmp_path_factory.mktemp("work")
+    for name in ("clean", "pairs", "cameras", "cn"):
+        (folder / name).mkdir()
+    write_png(folder / "clean" / "p.png", smooth_image((24, 30, 3)))
+    write_pairs(folder / "pairs", PHONES["a"], list(scenes((96, 128)))[:2])
+    before = os.getcwd()
+    os.chdir(folder)
+    try:
+        assert main(["degrade", "clean", "-o", "cn", "--recipe", "awgn"]) == 0
+        assert main(f"train --clean clean -o run {TRAIN}".split()) == 0
+        standard_camera("demosaic_bilinear").save(folder / "cameras" / "a.toml")
+        yield folder
+    finally:
+        os.chdir(before)
+
+
+def everything(folder):
+    """All that is below a folder: what each name is, and what it holds."""
+    found = {}
+    for base, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = os.path.join(base, name)
+            status = os.lstat(path)
+            what = [stat.S_IFMT(status.st_mode), status.st_rdev]
+            if stat.S_ISLNK(status.st_mode):
+                what.append(os.readlink(path))
+            elif stat.S_ISREG(status.st_mode):
+                with open(path, "rb") as file:
+                    what.append(hashlib.sha256(file.read()).hexdigest())
+            found[os.path.relpath(path, folder)] = what
+    return found
+
+
+def unchanged(before, folder, named=()):
+    after = everything(folder)
+    return {
+        path: after.get(path)
+        for path, what in before.items()
+        if path not in named and what != after.get(path)
+    }
+
+
+def clear(folder):
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    (folder / "out").mkdir()
+
+
+@pytest.mark.parametrize(
+    "name", [n if n not in SLOW else pytest.param(n, marks=pytest.mark.slow) for n in WHOLE]
+)
+def test_what_stands_beside_the_outputs(inputs, name, capsys):
+    clear(inputs)
+    command, named = COMMANDS[name]
+    (inputs / "out" / "others").mkdir()
+    special_files(inputs / "out" / "others")
+    for path in named:  # as temporary names may have been called
+        for other in (f"{path}.tmp", f"{path}~"):
+            (inputs / other).write_bytes(b"mine")
+        os.link(
+            inputs / f"{path}.tmp",
+            os.path.join(inputs, os.path.dirname(path), f".{os.path.basename(path)}.tmp"),
+        )
+        (inputs / path).write_text("of a run before")
+        os.link(inputs / path, inputs / f"{path}.other name")
+    before = everything(inputs)
+    assert main(command.split()) == 0, capsys.readouterr().err
+    assert unchanged(before, inputs, named) == {}
+    assert all((inputs / path).read_bytes() != b"of a run before" for path in named)
+    assert not [p for p in everything(inputs).keys() - before.keys() if p.endswith(("tmp", "lock"))]
+    shutil.rmtree(inputs / "out")
+
+
+@pytest.mark.parametrize("name", [n for n in COMMANDS if COMMANDS[n][1]])
+def test_an_output_that_is_a_link_or_a_device_is_refused_at_once(inputs, name, capsys):
+    command, named = COMMANDS[name]
+    for path in named:
+        clear(inputs)
+        for special in special_files(inputs / "out"):
+            os.rename(inputs / "out" / special, inputs / path)
+            before = everything(inputs)
+            assert main(command.split()) == 2
+            assert unchanged(before, inputs, {p for p in named if p != path}) == {}
+            assert capsys.readouterr().err.count("\n") == 1
+            os.unlink(inputs / path)
+
+
+@pytest.mark.parametrize(("name", "path"), [(n, p) for n in ALWAYS_OURS for p in ALWAYS_OURS[n]])
+def test_what_is_not_named_by_the_call_is_never_replaced(inputs, name, path, capsys):
+    command, named = COMMANDS[name]
+    clear(inputs)
+    place = inputs / "out" / path
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text('mine = "and not a run\'s"\n')
+    before = everything(inputs)
+    status, told = main(command.split()), capsys.readouterr().err
+    assert unchanged(before, inputs, named) == {}
+    assert status == 2 and told.count("\n") == 1 and path in told
+
+
+def test_no_result_replaces_an_input(inputs, capsys):
+    clear(inputs)
+    pictures = inputs / "out"
+    for name in ("a.png", "b.png", "a_000.clean.png"):
+        write_png(pictures / name, smooth_image((24, 30, 3), len(name)))
+    np.save(pictures / "b.npy", smooth_image((24, 30, 3), 9).astype(np.float32))
+    before = everything(inputs)
+    for command in ("denoise --run run out -o out", "degrade out -o out --recipe awgn"):
+        assert main(command.split()) == 2
+        assert "is an input, and would be overwritten by a result" in capsys.readouterr().err
+        assert unchanged(before, inputs) == {}
+    for command in ("recipe cameras/a.toml -o cameras/../cameras/a.toml", "fit pairs -o pairs/dataset.toml"):
+        (inputs / "pairs" / "dataset.toml").write_text('camera = "a"\n')
+        before = everything(inputs)
+        assert main(command.split()) == 2
+        assert unchanged(before, inputs) == {} and "is an input" in capsys.readouterr().err
+        (inputs / "pairs" / "dataset.toml").unlink()
