@@ -37,6 +37,11 @@ def between(least: float, most: float) -> Limit:
     return Limit(f"from {least} to {most}", lambda value: bool(least <= value <= most))
 
 
+def below(most: float) -> Limit:
+    """Less than a number."""
+    return Limit(f"below {most}", lambda value: bool(value < most))
+
+
 positive = Limit("positive", lambda value: bool(value > 0))
 even = Limit("even", lambda value: value % 2 == 0)
 

@@ -34,6 +34,7 @@ OPTIONS = [
     ("jpeg", {"row_phase": 16}, "option row_phase must be from 0 to 15, got 16"),
     ("resize", {"factor": 0.0}, "option factor must be positive, got 0.0"),
     ("resize", {"factor": float("nan")}, "option factor must be finite, got nan"),
+    ("clip", {"low": 0.3}, "option low must be below 0.3, got 0.3"),
     ("prnu", {"sensor": "a"}, "option sensor must be int or None, got 'a'"),
     ("demosaic_ahd", {"variant": "dcraw"}, "option variant must be one of 'paper', 'libraw', got 'dcraw'"),
 ]

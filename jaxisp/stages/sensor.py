@@ -1,5 +1,7 @@
 """The sensor and its converter: mosaic, black and white level, crosstalk, clipping, quantisation."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
 
@@ -10,7 +12,7 @@ from jaxisp.arrays.safe_math import clip_through, round_through, straight_throug
 from jaxisp.arrays.stencils import edge_counts, pad
 from jaxisp.cfa import Pattern
 from jaxisp.domains import Image, LinearRGB, Mosaic
-from jaxisp.options import Share
+from jaxisp.options import Share, below
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
@@ -189,7 +191,7 @@ class Clip:
 
 
 @register(reach=0)
-def clip(params: Clip, image: Image, *, low: float = 0.0, leak: Share = 0.0) -> Image:
+def clip(params: Clip, image: Image, *, low: Annotated[float, below(0.3)] = 0.0, leak: Share = 0.0) -> Image:
     """Clip to the range that the sensor or the file can hold.
 
     `y = min(max(x, low), white)`.
