@@ -44,8 +44,8 @@ class Recipe:
     description: str = ""
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from and how it is meant: plain TOML values that no computation needs."""
-    before: dict[str, Any] | None = dataclasses.field(default=None, repr=False)
-    """The prior that `dataclasses.replace` hands on: what a new prior leaves out keeps it. Not for users."""
+    _before: dict[str, Any] | None = dataclasses.field(default=None, repr=False)
+    """The prior that `dataclasses.replace` hands on: what a new prior leaves out keeps it."""
 
     def __post_init__(self) -> None:
         default = self.chain.init()
@@ -56,11 +56,11 @@ class Recipe:
             if not isinstance(own, type(default[name])):
                 kind = type(default[name]).__name__
                 raise InputError(f"recipe {self.name!r}: {name} must be a {kind}(...), got {short(own)}")
-        kept = {n: own for n, own in (self.before or {}).items() if isinstance(own, type(default.get(n)))}
+        kept = {n: own for n, own in (self._before or {}).items() if isinstance(own, type(default.get(n)))}
         # in the order of the chain, so that equal recipes have equal text
         whole = {n: self.prior.get(n, kept.get(n, values)) for n, values in default.items()}
         object.__setattr__(self, "prior", whole)
-        object.__setattr__(self, "before", whole)
+        object.__setattr__(self, "_before", whole)
         check_prior(whole)
 
     @property
