@@ -19,7 +19,10 @@ def alike(tree: Any, *others: Any) -> Any:
 
     def cast(x: Any) -> Any:
         missing = tuple(sorted(axes - _axes(x)))
-        return lax.pcast(x, missing, to="varying") if missing else x
+        if not missing:
+            return x
+        before = getattr(lax, "pvary", None)  # jax 0.7 has no pcast
+        return before(x, missing) if before else lax.pcast(x, missing, to="varying")
 
     return jax.tree.map(cast, tree)
 
