@@ -13,13 +13,12 @@ import numpy as np
 
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
-from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, signature, stage
+from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, run_in_strips, signature, stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.sensor import Clip
-from jaxisp.strips import run_in_strips
 
 WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"

@@ -1,9 +1,15 @@
 """Colour filter arrays: Bayer patterns, row-major from the top-left."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
 
+from jaxisp.options import one_of
+
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
+Pattern = Annotated[str, one_of(*PATTERNS)]
+"""A pattern as a static option."""
 
 
 def check_cfa(cfa: str) -> str:

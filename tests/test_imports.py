@@ -11,14 +11,14 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
     {"errors", "process"},
-    {"params", "domains", "arrays"},
+    {"params", "domains", "options", "arrays"},
     {"checks", "priors", "cfa", "color", "colorimetry", "metrics", "losses"},
     {"registry"},
     {"node"},
     {"pipeline", "jpeg", "io"},
     {"testing"},
     {"stages", "samples"},
-    {"serialize", "strips"},
+    {"serialize"},
     {"recipe"},
     {"recipes", "camera", "encoder", "report"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
@@ -129,3 +129,43 @@ def test_the_names_at_the_top_are_what_they_say():
         assert name in dir(jaxisp)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = jaxisp.nonsense
+
+
+FRESH = {
+    "a stage by name": "import jaxisp; assert jaxisp.stage('bilateral').name == 'bilateral'",
+    "the pipeline alone": "from jaxisp.pipeline import stage; stage('median')",
+    "a node alone": "from jaxisp.node import stage; stage('jpeg')",
+    "what a name may be": """
+import jaxisp
+try:
+    jaxisp.stage("bilaterall")
+except KeyError as error:
+    assert "bilateral" in str(error), error
+""",
+    "a name that is taken": """
+from jaxisp.pipeline import register
+from jaxisp.domains import RGB
+def bilateral(image: RGB) -> RGB:
+    return image
+try:
+    register(bilateral)
+except ValueError as error:
+    assert "registered already" in str(error), error
+else:
+    raise AssertionError("taken")
+""",
+    "modules": """
+import jaxisp
+for name in ("data", "train", "gap", "explore", "models", "camera", "losses", "errors", "pipeline", "recipe"):
+    assert getattr(jaxisp, name).__name__ == f"jaxisp.{name}", name
+""",
+    "the process": "import jaxisp; jaxisp.keep_freed(); jaxisp.keep_compiled('{folder}')",
+}
+
+
+@pytest.mark.parametrize("what", FRESH)
+def test_in_a_fresh_process(what, tmp_path):
+    """A stage and a module are found whatever was imported before."""
+    code = FRESH[what].replace("{folder}", str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

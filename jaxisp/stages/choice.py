@@ -1,6 +1,7 @@
 """Choices as numbers: demosaicking algorithms and chroma sampling of a pipeline that is compiled once."""
 
 from collections.abc import Callable
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,10 @@ from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
 from jaxisp.arrays.shares import weighted
+from jaxisp.cfa import Pattern
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
+from jaxisp.options import one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
@@ -24,7 +27,7 @@ from jaxisp.stages.demosaic import (
     demosaic_menon,
     demosaic_vng,
 )
-from jaxisp.stages.jpeg import Jpeg, jpeg
+from jaxisp.stages.jpeg import Jpeg, Sampling, jpeg
 
 DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "bilinear": demosaic_bilinear,
@@ -38,6 +41,9 @@ DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
 }
 
 
+Algorithm = Annotated[str, one_of(*DEMOSAICKERS)]
+
+
 @parameters
 class Demosaicking:
     """The share of each algorithm."""
@@ -47,7 +53,11 @@ class Demosaicking:
 
 @register
 def demosaicking(
-    params: Demosaicking, image: Mosaic, *, cfa: str = "RGGB", algorithm: str = "malvar"
+    params: Demosaicking,
+    image: Mosaic,
+    *,
+    cfa: Pattern = "RGGB",
+    algorithm: Algorithm = "malvar",
 ) -> CameraRGB:
     """Demosaick by one of eight algorithms, or a mix, the choice being a parameter.
 
@@ -139,7 +149,7 @@ class EarlierCompression:
 
 @register
 def earlier_compression(
-    params: EarlierCompression, image: EncodedRGB, *, subsampling: str = "4:4:4"
+    params: EarlierCompression, image: EncodedRGB, *, subsampling: Sampling = "4:4:4"
 ) -> EncodedRGB:
     """Compress the picture on an 8x8 grid that need not start at its corner.
 

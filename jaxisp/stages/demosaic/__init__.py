@@ -8,7 +8,6 @@ from jaxisp.stages.demosaic.hibbard import demosaic_hibbard
 from jaxisp.stages.demosaic.malvar import demosaic_malvar
 from jaxisp.stages.demosaic.median import color_difference_median
 from jaxisp.stages.demosaic.menon import demosaic_menon
-from jaxisp.stages.demosaic.strips import reach
 from jaxisp.stages.demosaic.vng import demosaic_vng
 
 __all__ = [
@@ -21,5 +20,4 @@ __all__ = [
     "demosaic_malvar",
     "demosaic_menon",
     "demosaic_vng",
-    "reach",
 ]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -20,12 +20,9 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored
 
-REACH = 1
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_bilinear(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=1)
+def demosaic_bilinear(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Fill in each colour by the mean of its nearest samples: blurs, and leaves zipper and colour fringes.
 
     `G = (left + right + up + down) / 4` on red and blue; R and B are the mean of the 2 nearest in the

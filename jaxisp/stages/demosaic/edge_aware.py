@@ -7,19 +7,16 @@ import jax.numpy as jnp
 
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import collect, diagonal_sum, red_and_blue, row_and_column_sums, sites
 from jaxisp.stages.demosaic.hamilton_adams import share_of_rows
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 1
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_edge_aware(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=1)
+def demosaic_edge_aware(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, red and blue bilinearly.
 
     `G = (left + right) / 2 if |left - right| <= |up - down| else (up + down) / 2`.

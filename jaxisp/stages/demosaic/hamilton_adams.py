@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -22,12 +22,9 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 3
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_hamilton_adams(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=3)
+def demosaic_hamilton_adams(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Interpolate green along the direction that is flatter in green and in the pixel's own colour.
 
     `G = (left + right) / 2 + (2 x - left_2 - right_2) / 4` where `|left - right| + |2 x - left_2 - right_2|`

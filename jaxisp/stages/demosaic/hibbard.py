@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa, shifted
+from jaxisp.cfa import Pattern, check_cfa, shifted
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -20,12 +20,9 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_hibbard(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=2)
+def demosaic_hibbard(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, then the differences from green.
 
     `G = (left + right) / 2 if |left - right| < |up - down|, (up + down) / 2 if it is greater, the mean

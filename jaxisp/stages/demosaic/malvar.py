@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -20,12 +20,9 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored
 
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_malvar(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=2)
+def demosaic_malvar(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Bilinear interpolation plus a share of the Laplacian of the colour measured on the spot.
 
     `G = bilinear + 1/2 Lap(x)` on red and blue; R and B are bilinear plus 5/8 of a 5x5 Laplacian of

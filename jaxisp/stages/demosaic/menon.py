@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -21,12 +21,9 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 8
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
-def demosaic_menon(image: Mosaic, *, cfa: str = "RGGB", refining: bool = True) -> CameraRGB:
+@register(reach=8)
+def demosaic_menon(image: Mosaic, *, cfa: Pattern = "RGGB", refining: bool = True) -> CameraRGB:
     """Interpolate green along rows and along columns, keep where colour differences vary less, and refine.
 
     `G = G_h if d_v >= d_h else G_v`, `d` the weighted sum over a 5x5 window of `|C(n) - C(n + 2)|`

@@ -8,22 +8,19 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import Pattern, check_cfa
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Sites, sites
 from jaxisp.stages.demosaic.linear import piecewise_linear
-
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
 
 Offset = tuple[int, int]
 _STRAIGHT: list[Offset] = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 _DIAGONAL: list[Offset] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
 
 
-@register
-def demosaic_vng(image: Mosaic, *, cfa: str = "RGGB") -> CameraRGB:
+@register(reach=2)
+def demosaic_vng(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Take colour differences from those of eight directions whose gradients are small.
 
     A direction's gradient is a sum of absolute differences of like samples in the 5x5 window; those count
