@@ -30,9 +30,8 @@ from benchmarks.peers import compare
 from benchmarks.timing import finish, seconds, summary
 from jaxisp.camera import standard_camera
 from jaxisp.io.files import write_text
-from jaxisp.pipeline import Chain
+from jaxisp.pipeline import Chain, run_in_strips
 from jaxisp.recipes import RECIPES
-from jaxisp.strips import run_in_strips
 
 RESULTS = Path("benchmarks/results/accelerator.json")
 LEAST_ROUNDS, IN_A_ROW = 5, 8

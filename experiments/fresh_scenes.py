@@ -21,14 +21,16 @@ from experiments.withheld.effects import ABSORBABLE, DEVELOP, KINDS, PAIRED, SEA
 from experiments.withheld.scenes import SETS, Scenes, scenes
 from experiments.withheld.shoot import write
 from experiments.withheld.tables import table, wilson
-from jaxisp.gap.base import raw_jpeg
 from jaxisp.gap.base.clean_noisy import plain_case
-from jaxisp.gap.base.mean import fit_mean
-from jaxisp.gap.case import Case, Split
-from jaxisp.gap.diagnose import raw_case
-from jaxisp.gap.pairs.align_clean import clean_pairs, on_each_other
-from jaxisp.gap.search.verdict import gap_at, searched
-from jaxisp.gap.simulator.effects import CLEAN_NOISY
+from jaxisp.gap.base.mean import MeanFit, fit_mean
+from jaxisp.gap.base.raw_jpeg import raw_case
+from jaxisp.gap.case import Case
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.align_clean import align_clean, clean_pairs
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.trial import Trial
+from jaxisp.gap.search.verdict import searched
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, candidates
 from jaxisp.io.datasets import Loaded, open_dataset
 
 SPLITS = {"develop": DEVELOP, "sealed": SEALED}
@@ -62,38 +64,39 @@ def groups(half: int) -> list[Split]:
 def raw_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
     splits = groups(half)
     case = raw_case(loaded, None, (), quiet, splits[0])
+    assert case.pixels is not None
     for split in splits:
-        yield dataclasses.replace(case, split=split)
+        pixels = dataclasses.replace(case.pixels, split=split)
+        yield dataclasses.replace(case, pixels=pixels, evidence=pixels)
 
 
 def noisy_cases(loaded: Sequence[Loaded], half: int) -> Iterator[Case]:
     """All with the model of the first: the noise is fitted to the same pairs."""
-    splits, loaded = groups(half), on_each_other(loaded).kept
-    pairs = clean_pairs(loaded)
-    camera, mean = fit_mean(loaded[0].jpeg, pairs, splits[0].fit, None)
-    effects, model = raw_jpeg.candidates(CLEAN_NOISY, ()), None
+    splits, loaded = groups(half), align_clean(loaded).kept
+    mean = fit_mean(loaded[0].jpeg, clean_pairs(loaded), splits[0], None)
+    effects, first = candidates(CLEAN_NOISY, ()), None
     for split in splits:
-        part = mean.take([*split.fit, *split.held_out])
+        which = [*split.fit, *split.held_out]
         own = Split(tuple(range(half)), tuple(range(half, 2 * half)))
-        case = plain_case(camera, part, own, effects, 0, quiet)
-        model = model or case.problem.model
-        case.problem.model = model
-        case.problem.move_to(np.zeros(len(model.coordinates)))
-        yield case
+        objective = dataclasses.replace(mean.objective.take(which), split=own)
+        at = objective.at(mean.point.model.take(which), mean.point.z)
+        case = plain_case(MeanFit(mean.camera, objective, at), effects, 0, quiet)
+        first = first or case.point.model
+        yield dataclasses.replace(case, point=case.evidence.at(first, np.zeros(len(case.point.z))))
 
 
-def drop(case: Case, trial: Any) -> tuple[float, float]:
+def drop(case: Case, trial: Trial) -> tuple[float, float]:
     """By how much the trial's point lowers the gap of the case's held-out pairs, and that gap."""
-    problem, held = case.problem, list(case.split.held_out)
-    scale, model = gap_at(case).scale, case.problem.model
-    before = np.nanmean(problem.units(problem.z)[held])
+    evidence, held = case.evidence, list(case.split.held_out)
+
+    def gap(point: Point) -> float:
+        return float(np.nanmean(evidence.units(point)[held]))
+
+    scale, model, before = case.gap().scale, case.point.model, gap(case.point)
     if trial.choice is not None:
-        choice = trial.choice
-        problem.model = model.chosen(choice)
-        before = min(before, np.nanmean(problem.units(problem.z)[held]))
-    after = np.nanmean(problem.units(trial.z)[held])
-    problem.model = model
-    return float(before - after), scale
+        model = model.chosen(trial.choice)
+        before = min(before, gap(evidence.at(model, case.point.z)))
+    return before - gap(evidence.at(model, trial.z)), scale
 
 
 def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[str, Any]:
@@ -103,15 +106,12 @@ def examine(kind: str, split: str, body: str, name: str, strength: int) -> dict[
         write(Path(folder), body, {name: strength}, kind, pictures(OWN[split], size, half))
         loaded = [pair.load() for pair in open_dataset(folder).pairs]
         own, *fresh = list((raw_cases if kind == PAIRED else noisy_cases)(loaded, half))
-        start, model = own.problem.z.copy(), own.problem.model
-        found = searched(own, gap_at(own), quiet)
+        found = searched(own, own.gap(), quiet)
         named = [trial.effect for trial, _ in found.causes]
         record |= {"named": named, "right": named[:1] == [name]}
         if named[:1] != [name] or name not in found.trials:  # the latter: found beside another
             return record
         trial = found.trials[name]
-        own.problem.model = model
-        own.problem.move_to(start)
         drops, scales = zip(*(drop(case, trial) for case in fresh))
     closed = sum(drops) / sum(scales)
     ci = [trial.low, trial.high]

@@ -16,8 +16,12 @@ from typing import Any
 import numpy as np
 
 from experiments.withheld.effects import KINDS
-from jaxisp.gap.axes.null_bank import CLEAR, as_large
+from jaxisp.gap.axes.null_bank import as_large
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.io.files import atomic_write
+
+_CLEAR = min(criteria.clear for criteria in CRITERIA.values())
+"""The p-value above which an axis is not said to have a gap."""
 
 Sizes = Mapping[str, float]
 BEYOND = 95
@@ -41,7 +45,7 @@ def bank_of(nulls: Sequence[Sizes]) -> dict[str, Any]:
 def beyond(bank: Mapping[str, Any], sizes: Sizes) -> list[str]:
     """The axes of a camera that are beyond the bank."""
     usual, largest = bank["usual"], bank["largest"]
-    return [a for a, size in sizes.items() if a in usual and as_large(size / usual[a], largest) <= CLEAR]
+    return [a for a, size in sizes.items() if a in usual and as_large(size / usual[a], largest) <= _CLEAR]
 
 
 def left_out(by_body: Mapping[str, Sequence[Sizes]]) -> tuple[int, int]:

@@ -3,18 +3,18 @@
     python -m experiments.null_drops --bodies elm fig --limit 16 --out docs/results/null-drops.json
 
 A diagnosis does not look where the gap is near its floor; here it does, for one cause. What an effect must
-lower a gap by, `jaxisp.gap.case.NULL_DROP`, should be above what 95 % of these cameras have. A run that
-was broken off goes on; the page is written beside the file.
+lower a gap by, `jaxisp.gap.criteria.Criteria.null_drop`, should be above what 95 % of these cameras have. A
+run that was broken off goes on; the page is written beside the file.
 """
 
 import argparse
+import dataclasses
 import json
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -24,8 +24,7 @@ from experiments.withheld.shoot import write
 from experiments.withheld.study import Case, cases, shuffled
 from experiments.withheld.tables import table
 from jaxisp.gap import diagnose
-from jaxisp.gap.case import LEAST_UNIT, NULL_DROP
-from jaxisp.gap.search import verdict
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.io.files import write_text
 
 Record = dict[str, Any]
@@ -48,7 +47,8 @@ def drops(report: Mapping[str, Any]) -> Record:
     """The gap, and what each refitted effect lowers it by, in units, and the low end of that's interval."""
     gap = report["gap"]
     floor = gap["floor"]
-    unit, scale = max(floor, LEAST_UNIT[report["kind"]]), max(gap["before"] - floor, 0.02 * floor, 1e-6)
+    unit = max(floor, CRITERIA[report["kind"]].least_unit)
+    scale = max(gap["before"] - floor, 0.02 * floor, 1e-6)
     refitted = [row for row in report["ranking"] if "ci" in row and row.get("possible")]
     lowered = {row["effect"]: [row["closed"] * scale / unit, row["ci"][0] * scale / unit] for row in refitted}
     return {"above": (gap["before"] - floor) / unit, "lowered": lowered}
@@ -56,13 +56,10 @@ def drops(report: Mapping[str, Any]) -> Record:
 
 def looked_at(case: Case) -> Record:
     """One null, diagnosed as if its gap were worth it."""
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        patch.dict(NULL_DROP, {case.kind: -np.inf}),
-        patch.object(verdict, "MOST_CAUSES", 1),
-    ):
+    criteria = dataclasses.replace(CRITERIA[case.kind], null_drop=-np.inf, most_causes=1)
+    with tempfile.TemporaryDirectory() as folder:
         write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes)
-        return {"case": case.name, "kind": case.kind} | drops(diagnose(folder).report)
+        return {"case": case.name, "kind": case.kind} | drops(diagnose(folder, criteria=criteria).report)
 
 
 def most(record: Record) -> tuple[str, float, float]:
@@ -78,14 +75,14 @@ def page(records: Sequence[Record], command: str) -> str:
         if own:
             surest = np.array([most(r)[1:] for r in own])
             figures = [f"{f(surest[:, i]):.2f}" for i in (0, 1) for f in (np.median, _usual)]
-            rows.append([kind, len(own), *figures, NULL_DROP[kind]])
+            rows.append([kind, len(own), *figures, CRITERIA[kind].null_drop])
         for r in own:
             name, drop, least = most(r)
             lines.append([r["case"], f"{r['above']:.2f}", name, f"{drop:.2f}", f"{least:.2f}"])
     head = ["pairs", "cameras", "drop, median", "95 %", "its low end, median", "95 %", "must be above"]
     return PAGE.format(
         command=command,
-        unit=f"{max(LEAST_UNIT.values()):g}",
+        unit=f"{max(c.least_unit for c in CRITERIA.values()):g}",
         summary=table(head, rows),
         cases=table(["camera", "gap above its floor", "effect", "drop", "its low end"], lines),
     )

@@ -4,24 +4,31 @@ Importing the package costs nothing: JAX is loaded with the first name that is u
 """
 
 import importlib
+import importlib.util
 from typing import Any
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Chain": "jaxisp.strips",  # of jaxisp.pipeline; with it chains run large frames in strips
+    "Chain": "jaxisp.pipeline",
     "Gate": "jaxisp.pipeline",
     "Shuffle": "jaxisp.pipeline",
     "Stage": "jaxisp.pipeline",
     "register": "jaxisp.pipeline",
     "run": "jaxisp.pipeline",
     "run_batch": "jaxisp.pipeline",
+    "run_in_strips": "jaxisp.pipeline",
     "stage": "jaxisp.pipeline",
     "STAGES": "jaxisp.stages",
     "Recipe": "jaxisp.recipe",
     "InputError": "jaxisp.errors",
+    "keep_compiled": "jaxisp.process.cache",
+    "keep_freed": "jaxisp.process.memory",
 }
-_MODULES = {"fit", "io", "metrics", "params", "priors", "recipes", "samples", "stages"}
+_MODULES = {
+    "camera", "data", "explore", "fit", "gap", "io", "losses", "metrics", "models", "params", "priors",
+    "recipes", "samples", "stages", "train",
+}  # fmt: skip
 
 __all__ = [*sorted(_HOME), *sorted(_MODULES)]
 
@@ -29,7 +36,7 @@ __all__ = [*sorted(_HOME), *sorted(_MODULES)]
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(importlib.import_module(_HOME[name]), name)
-    if name in _MODULES:
+    if name in _MODULES or (not name.startswith("_") and importlib.util.find_spec(f"jaxisp.{name}")):
         return importlib.import_module(f"jaxisp.{name}")
     raise AttributeError(f"module 'jaxisp' has no attribute {name!r}")
 

@@ -14,13 +14,12 @@ import numpy as np
 from jaxisp.cfa import is_xtrans, size
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
-from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, signature, stage
+from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, run_in_strips, signature, stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe, check_traces
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.sensor import Clip
-from jaxisp.strips import run_in_strips
 
 WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"
@@ -31,10 +30,11 @@ DISPLAY = "display_range"
 def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
     """A plain camera: white balance, highlights clipped to white, demosaicking, exposure for the
     brightest 1 %, the file's colour matrix, sRGB. No denoising and no sharpening."""
+    demosaicker = stage(demosaic)
     nodes = (
-        stage(WHITE_BALANCE),
+        stage(WHITE_BALANCE, cfa=demosaicker.options["cfa"]),
         stage("clip"),
-        stage(demosaic),
+        demosaicker,
         stage(EXPOSURE),
         stage(COLOR_MATRIX),
         stage("srgb_oetf"),
@@ -55,10 +55,7 @@ def with_cfa(node: Node, cfa: str) -> Node:
         options = dict(node.static)
         if "cfa" not in dict(signature(node.fn).static):
             return node
-        try:
-            return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
-        except ValueError as error:
-            raise InputError(str(error)) from None
+        return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
     if isinstance(node, Gate):
         return dataclasses.replace(node, node=with_cfa(node.node, cfa))
     assert isinstance(node, Row)

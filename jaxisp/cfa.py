@@ -1,11 +1,14 @@
 """Colour filter arrays: the Bayer patterns and X-Trans, row-major from the top-left."""
 
 import math
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from jaxisp.options import Limit, check_option
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """The Bayer patterns."""
@@ -13,9 +16,17 @@ XTRANS = "GBGGRGRGRBGBGBGGRGGRGGBGBGBRGRGRGGBG"
 """X-Trans in one of its 18 phases: 6 x 6 filters, with a green that has no green beside it at (1, 1)."""
 
 
+_LETTERS = f"36 letters as {XTRANS}"
+
+
 def size(cfa: str) -> int:
     """Rows and columns of the cell that repeats."""
     return math.isqrt(len(cfa))
+
+
+def rows_of_cell(options: Mapping[str, Any]) -> int:
+    """The block of a stage that goes by its `cfa`."""
+    return size(options["cfa"])
 
 
 def shifted(cfa: str, rows: int, columns: int) -> str:
@@ -31,39 +42,20 @@ def is_xtrans(cfa: str) -> bool:
 
 def check_cfa(cfa: str) -> str:
     """Return `cfa`; raise ValueError where it is neither one of `PATTERNS` nor X-Trans."""
-    if cfa not in PATTERNS and not is_xtrans(cfa):
-        raise ValueError(
-            f"cfa {cfa!r} is not one of {', '.join(PATTERNS)}, nor X-Trans (36 letters, as {XTRANS})"
-        )
+    check_option("cfa", Pattern, cfa)
     return cfa
 
 
 def check_bayer(cfa: str) -> str:
     """Return `cfa`; raise ValueError where it is not one of `PATTERNS`."""
-    if is_xtrans(cfa):
-        raise ValueError(
-            f"cfa is X-Trans, expected one of {', '.join(PATTERNS)} "
-            "(X-Trans is demosaicked by demosaic_markesteijn or demosaic_normalized_convolution)"
-        )
-    if cfa not in PATTERNS:
-        raise ValueError(f"cfa {cfa!r} is not one of {', '.join(PATTERNS)}")
+    check_option("cfa", Bayer, cfa)
     return cfa
 
 
 def check_xtrans(cfa: str) -> str:
     """Return `cfa`; raise ValueError where it is not X-Trans."""
-    if not is_xtrans(cfa):
-        more = " (a Bayer mosaic is demosaicked by demosaic_ahd and others)" if cfa in PATTERNS else ""
-        raise ValueError(f"cfa {cfa!r} is not X-Trans, expected 36 letters, as {XTRANS}{more}")
+    check_option("cfa", XTrans, cfa)
     return cfa
-
-
-Cfa = Annotated[str, check_cfa]
-"""A static option that takes every pattern. `jaxisp.stage` checks what it binds."""
-Bayer = Annotated[str, check_bayer]
-"""A static option that takes Bayer patterns alone."""
-XTrans = Annotated[str, check_xtrans]
-"""A static option that takes X-Trans alone."""
 
 
 def site(cfa: str, color: str) -> tuple[int, int]:
@@ -112,3 +104,14 @@ def _phases() -> tuple[str, ...]:
 
 
 _PHASES = _phases()
+_BAYER = f"one of {', '.join(PATTERNS)}"
+_FOR_XTRANS = "demosaic_markesteijn and demosaic_normalized_convolution demosaick X-Trans"
+
+Pattern = Annotated[
+    str, Limit(f"{_BAYER}, or X-Trans ({_LETTERS})", lambda cfa: cfa in PATTERNS or is_xtrans(cfa))
+]
+"""A pattern as a static option."""
+Bayer = Annotated[str, Limit(f"{_BAYER} ({_FOR_XTRANS})", lambda cfa: cfa in PATTERNS)]
+"""A static option that takes Bayer patterns alone."""
+XTrans = Annotated[str, Limit(f"X-Trans ({_LETTERS}; demosaic_ahd and others demosaick Bayer)", is_xtrans)]
+"""A static option that takes X-Trans alone."""

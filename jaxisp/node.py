@@ -1,5 +1,6 @@
 """The nodes that pipelines are built of, and the simplest: a stage with its options and a name."""
 
+import math
 import zlib
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
@@ -9,10 +10,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.arrays.varying import alike
 from jaxisp.domains import Domain
-from jaxisp.registry import REGISTRY, signature
+from jaxisp.options import check_option
+from jaxisp.params import specs
+from jaxisp.registry import CELL, Signature, find_stage, locality, signature
 
 Params = dict[str, Any]
+
+
+def entry(params: Any, name: str, kind: type) -> Any:
+    """The parameters that go by a name. Raises TypeError, in words, where they are missing or others."""
+    if not isinstance(params, dict):
+        shown = type(params).__name__
+        raise TypeError(
+            f"params must be a dict by stage name, as {{{name!r}: {kind.__name__}()}}, got {shown}"
+        )
+    if name not in params:
+        there = f"it has {', '.join(map(repr, sorted(params)))}" if params else "it is empty"
+        raise TypeError(f"params lacks {name!r}, a {kind.__name__}: {there}; init() of a pipeline gives all")
+    if not isinstance(params[name], kind):
+        got = "a number or an array" if hasattr(params[name], "dtype") else type(params[name]).__name__
+        raise TypeError(f"params[{name!r}] must be a {kind.__name__}, got {got}")
+    return params[name]
 
 
 class Node:
@@ -47,11 +67,23 @@ class Node:
     def stochastic(self) -> bool:
         return any(signature(s.fn).stochastic for s in self.stages())
 
+    @property
+    def reach(self) -> int | None:
+        """How far from a pixel the result depends on the image [px], as its stages were registered; None
+        where it may depend on the whole frame, or on a pixel's position."""
+        raise NotImplementedError
+
+    @property
+    def block(self) -> int:
+        """Rows after which all blocks that its stages work in begin together."""
+        return math.lcm(CELL, *(s.block for s in self.stages()))
+
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""
         if self.stochastic and key is None:
             raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
-        return self.apply(params, image, key)
+        # a stage's branches and loops need them alike
+        return self.apply(*alike((params, image, key)))
 
 
 @dataclass(frozen=True)
@@ -61,6 +93,14 @@ class Stage(Node):
     fn: Callable[..., jax.Array]
     name: str
     static: tuple[tuple[str, Hashable], ...] = ()
+
+    def __post_init__(self) -> None:
+        declared = signature(self.fn)
+        for option, value in self.static:
+            if option not in dict(declared.static):
+                raise TypeError(f"{self.fn.__name__} has no option {option!r}" + _has(declared, option))
+            if option in declared.hints:
+                check_option(f"{self.fn.__name__}: option {option}", declared.hints[option], value)
 
     @property
     def domain_in(self) -> Domain:
@@ -74,6 +114,16 @@ class Stage(Node):
     def options(self) -> dict[str, Hashable]:
         """All static options, defaults included."""
         return dict(signature(self.fn).static) | dict(self.static)
+
+    @property
+    def reach(self) -> int | None:
+        known = locality(self.fn).reach
+        return known(self.options) if callable(known) else known
+
+    @property
+    def block(self) -> int:
+        known = locality(self.fn).block
+        return known(self.options) if callable(known) else known
 
     def stages(self) -> Iterator["Stage"]:
         yield self
@@ -94,12 +144,7 @@ class Stage(Node):
             arguments["key"] = jax.random.fold_in(key, zlib.crc32(self.name.encode()) & 0x7FFFFFFF)
         if declared.params is None:
             return self.fn(image, **arguments)
-        own = params.get(self.name)
-        if not isinstance(own, declared.params):
-            raise TypeError(
-                f"stage {self.name!r}: params[{self.name!r}] must be a {declared.params.__name__}, "
-                f"got {type(own).__name__}; there are {sorted(params)}"
-            )
+        own = entry(params, self.name, declared.params)
         return self.fn(own, image, **arguments)
 
     def _check_image(self, image: jax.Array) -> None:
@@ -124,28 +169,25 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
         **static: its static options; lists and arrays become nested tuples.
 
     Raises:
-        KeyError: no stage of that name. TypeError: no such option. ValueError: one of its options cannot be
-            that, such as a `cfa` that it does not work on.
+        KeyError: no stage of that name. TypeError: no such option. InputError: an option of another type, or
+            not within its limits.
     """
     if isinstance(fn, str):
-        if fn not in REGISTRY:
-            raise KeyError(f"no stage named {fn!r}; there are {', '.join(sorted(REGISTRY))}")
-        fn = REGISTRY[fn]
+        fn = find_stage(fn)
     known = dict(signature(fn).static)
-    for option in static:
-        if option not in known:
-            raise TypeError(f"{fn.__name__} has no option {option!r}; it has {sorted(known) or 'none'}")
-    for option, check in signature(fn).checks:
-        if option in static:
-            try:
-                check(static[option])
-            except ValueError as error:
-                raise ValueError(f"{fn.__name__}: {error}") from None
-    changed = {n: _frozen(v) for n, v in sorted(static.items()) if _frozen(v) != known[n]}
-    return Stage(fn, name or fn.__name__, tuple(changed.items()))
+    given = {n: _frozen(v) for n, v in sorted(static.items())}
+    Stage(fn, name or fn.__name__, tuple(given.items()))  # checks them, those that equal the default too
+    return Stage(fn, name or fn.__name__, tuple((n, v) for n, v in given.items() if v != known[n]))
+
+
+def _has(declared: Signature, option: str) -> str:
+    """What a stage has in place of an unknown option."""
+    if declared.params is not None and option in specs(declared.params):
+        return f": it is a parameter, {declared.params.__name__}({option}=...), which is passed when it runs"
+    return f"; it has {sorted(dict(declared.static)) or 'none'}"
 
 
 def _frozen(value: Any) -> Hashable:
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return tuple(_frozen(v) for v in value) if isinstance(value, list | tuple) else value

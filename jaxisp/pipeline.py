@@ -5,6 +5,7 @@ nesting. All nodes are hashable values: equal pipelines compare equal and share 
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,19 +14,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import NamedSharding, PartitionSpec
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
-from jaxisp.arrays.strips import in_strips_on_cpu
+from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
+from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.node import Node, Params, Stage, stage
+from jaxisp.node import Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
-from jaxisp.registry import REGISTRY, Signature, register, sections, signature
+from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, sections, signature
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
-    "over_batch", "register", "run", "run_batch", "sample_keys", "sections", "signature", "stage",
+    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_keys", "sections", "signature",
+    "stage",
 ]  # fmt: skip
 
 
@@ -38,10 +42,18 @@ class Row(Node):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", tuple(self.nodes))
+        for node in self.nodes:
+            _require_node(node, type(self).__name__)
+        _check_pattern(self.stages())
 
     @property
     def domain_in(self) -> Domain:
         return _flow(self.nodes)[0]
+
+    @property
+    def reach(self) -> int | None:
+        each = [node.reach for node in self.nodes]
+        return None if None in each else sum(filter(None, each))
 
     def names(self) -> Iterator[str]:
         for node in self.nodes:
@@ -75,13 +87,14 @@ class Chain(Row):
         return _flow(self.nodes)[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        for nodes, reach, unit in _grouping(self.nodes):
-            part = functools.partial(_in_turn, nodes, stored=nodes[0] is self.nodes[0])
+        for group in _groups(self.nodes):
+            part = functools.partial(_in_turn, group.nodes, stored=group.nodes[0] is self.nodes[0])
+            reach = group.reach
             if not reach:
                 image = part(image, params, key)
             else:
-                own = {name: params[name] for node in nodes for name in node.init() if name in params}
-                image = in_strips_on_cpu(part, image, reach, (own,), unit=unit)
+                own = {name: params[name] for name in group.init() if name in params}
+                image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
         return image
 
     def without(self, *names: str) -> "Chain":
@@ -113,6 +126,7 @@ class Gate(Node):
     name: str = ""
 
     def __post_init__(self) -> None:
+        _require_node(self.node, "Gate")
         object.__setattr__(self, "name", self.name or f"use_{self.node.name}")
         _require_keeping(self.node, "Gate")
 
@@ -123,6 +137,10 @@ class Gate(Node):
     @property
     def domain_out(self) -> Domain:
         return self.node.domain_out
+
+    @property
+    def reach(self) -> int | None:
+        return self.node.reach
 
     def stages(self) -> Iterator[Stage]:
         return self.node.stages()
@@ -136,7 +154,7 @@ class Gate(Node):
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         # not jnp.where: a dead branch would leak NaN gradients
-        on = params[self.name].on > 0.5
+        on = entry(params, self.name, Switch).on > 0.5
         return lax.cond(on, lambda x: self.node.apply(params, x, key), lambda x: x, image)
 
 
@@ -177,7 +195,7 @@ class Shuffle(Row):
         return {self.name: order, **super().init()}
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        priority = params[self.name].priority
+        priority = entry(params, self.name, Order).priority
         if priority.shape != (len(self.nodes),):
             raise TypeError(f"{self.name!r} orders {len(self.nodes)} nodes, got priorities {priority.shape}")
         branches = [functools.partial(node.apply, params, key=key) for node in self.nodes]
@@ -188,22 +206,16 @@ class Shuffle(Row):
         return lax.scan(step, image, jnp.argsort(priority))[0]
 
 
-Groups = Iterable[tuple[tuple[Node, ...], int | None, int]]
-"""Nodes that can run in strips of rows together: of each group its nodes, their reach, rows of a block."""
+def _groups(nodes: Iterable[Node]) -> Iterator[Row]:
+    """Nodes in a row, in groups that can run in strips together.
 
-
-def _each_alone(nodes: tuple[Node, ...]) -> Groups:
-    return [((node,), None, 1) for node in nodes]
-
-
-_grouping: Callable[[tuple[Node, ...]], Groups] = _each_alone
-"""Until `jaxisp.strips`, which knows the stages, says better: each on the whole frame."""
-
-
-def group_by(grouping: Callable[[tuple[Node, ...]], Groups]) -> None:
-    """Say how chains group their nodes."""
-    global _grouping
-    _grouping = grouping
+    An encoder is alone: in the strips that its blocks need, other stages would do more over again. So is a
+    node whose reach is not known.
+    """
+    for alone, group in itertools.groupby(nodes, lambda n: n.reach is None or n.block > LARGEST_CELL):
+        together = tuple(group)
+        for some in [(n,) for n in together] if alone else [together]:
+            yield Row(some, "group")
 
 
 def _in_turn(
@@ -235,6 +247,27 @@ def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
     return first, now
 
 
+def _require_node(node: Any, what: str) -> None:
+    if not isinstance(node, Node):
+        advice = f": stage({node!r})?" if isinstance(node, str) else ", as stage(...) makes"
+        raise TypeError(f"{what} takes stages and pipelines, got {node!r}{advice}")
+
+
+def _check_pattern(stages: Iterable[Stage]) -> None:
+    """Raise ValueError where two stages in a row take a mosaic for one of another pattern."""
+    first: Stage | None = None
+    for now in stages:
+        if "cfa" in now.options:
+            first = first or now
+            a, b = first.options["cfa"], now.options["cfa"]
+            if a != b:
+                raise ValueError(
+                    f"{first.name!r} has cfa={a!r} and {now.name!r} {b!r}, which takes one colour for another"
+                )
+        if now.domain_out.channels == 3:
+            first = None  # what comes next may be another sensor
+
+
 def _require_keeping(node: Node, what: str) -> None:
     if not accepts(node.domain_in, node.domain_out) or node.domain_in.channels != node.domain_out.channels:
         raise ValueError(
@@ -248,6 +281,48 @@ def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = No
     """`node(params, image, key=key)`, compiled once per pipeline and shape."""
     check_backend()  # while this is traced, so once a compile
     return node(params, image, key=key)
+
+
+@functools.partial(jax.jit, static_argnums=0, static_argnames="rows")
+def run_in_strips(
+    node: Node, params: Params, image: jax.Array, key: jax.Array | None = None, *, rows: int = ROWS
+) -> jax.Array:
+    """`run(node, params, image, key)` on a large frame, strip of rows by strip: in less memory and time.
+
+    A strip is computed with as many more rows around it as its stages reach. Stages that need the whole
+    frame, or whose reach is not known, run on all of it, between strips.
+
+    Args:
+        node: a stage or a pipeline; as many of its stages as can run in strips.
+        params: its parameters.
+        image: (H, W, 3) or (H, W).
+        key: where anything draws noise.
+        rows: of a strip.
+
+    Returns:
+        What `run` returns, to rounding.
+    """
+    if node.stochastic and key is None:
+        raise TypeError(f"{node.name} draws noise: pass key=jax.random.key(seed)")
+    for local, group in itertools.groupby(_flat(node), lambda n: n.reach is not None):
+        part = Chain(tuple(group), node.name)
+        if local:
+            reach = part.reach
+            assert reach is not None, "each of its nodes has one"
+            strip = functools.partial(part.apply, params, key=None)
+            image = in_strips(strip, image, reach, rows=rows, unit=part.block)
+        else:
+            image = part.apply(params, materialize(image), key)
+    return image
+
+
+def _flat(node: Node) -> Iterator[Node]:
+    """The nodes of chains within chains."""
+    if not isinstance(node, Chain):
+        yield node
+        return
+    for inner in node.nodes:
+        yield from _flat(inner)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -264,7 +339,7 @@ def run_batch(
         start: the global index of the first image.
     """
     check_backend()
-    params = {name: params[name] for name in node.init()}
+    params = {name: entry(params, name, type(own)) for name, own in node.init().items()}
     keys = None if key is None else sample_keys(key, start + jnp.arange(len(images)))
     return over_batch(node, params, images, keys)
 
@@ -278,6 +353,9 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     if 0 in images.shape[1:]:
         raise ValueError(f"{node.name}: pictures without pixels, of shape {images.shape[1:]}")
     axes = batch_axes(params)
+    spread = spread_over(images)
+    if spread is not None:
+        return _spread(spread, functools.partial(over_batch, node), axes, params, images, keys)
 
     def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         return node(params, image, key=key)
@@ -302,7 +380,31 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
         if size < len(images) and jax.default_backend() == "cpu":
             return in_groups(together, size, axes, params, images, keys)
         return together(params, images, keys)
+    if varying((params, images, keys)):
+        # under vmap jax 0.10 lets a branch's constants vary as the switch does, and then refuses them
+        return in_turn(params, images, keys)
     return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
+
+
+def _spread(
+    mesh: jax.sharding.AbstractMesh,
+    fn: Callable[..., jax.Array],
+    axes: Any,
+    params: Any,
+    images: Any,
+    keys: Any,
+) -> jax.Array:
+    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh."""
+    rows = PartitionSpec(jax.typeof(images).sharding.spec[0])
+    specs = jax.tree.map(lambda a: PartitionSpec() if a is None else rows, axes, is_leaf=lambda a: a is None)
+    in_specs = (specs, rows, None if keys is None else rows)
+    given = jax.tree.map(
+        lambda spec, x: jax.sharding.reshard(x, NamedSharding(mesh, spec)),
+        in_specs,
+        (params, images, keys),
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
+    )
+    return jax.shard_map(fn, mesh=mesh, in_specs=in_specs, out_specs=rows, check_vma=False)(*given)
 
 
 def sample_keys(key: jax.Array, indices: jax.Array) -> jax.Array:

@@ -4,6 +4,7 @@ A distribution that is none (a std of 0, low above high) raises InputError when 
 and the same whatever `jax_enable_x64` says.
 """
 
+import dataclasses
 import zlib
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, self.low <= self.high, "low is above high")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
@@ -42,6 +44,7 @@ class LogUniform:
     high: float
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, self.low > 0, "low must be positive")
         _require(self, self.low <= self.high, "low is above high")
 
@@ -66,6 +69,7 @@ class PowerUniform:
     exponent: float
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, self.low <= self.high, "low is above high")
         _require(self, self.exponent > 0, "the exponent must be positive")
         whole = self.low >= 0 or float(self.exponent).is_integer()
@@ -92,6 +96,7 @@ class Normal:
     high: float
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, self.std > 0, "std must be positive")
         _require(self, self.low <= self.high, "low is above high")
 
@@ -111,6 +116,7 @@ class Bernoulli:
     p: float
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, 0 <= self.p <= 1, "p must be from 0 to 1")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
@@ -128,6 +134,7 @@ class Choice:
     values: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        _numbers(self)
         _require(self, len(self.values) > 0, "there must be a value")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
@@ -151,6 +158,26 @@ DISTRIBUTIONS: dict[str, type] = {
 }
 
 
+def _number(given: Any) -> float:
+    return given if type(given) in (int, float) else float(given)
+
+
+def _numbers(law: Any) -> None:
+    """Make a distribution's numbers Python's; raise InputError, in words, where they are none."""
+    for field in dataclasses.fields(law):
+        given = getattr(law, field.name)
+        try:
+            number = tuple(map(_number, given)) if field.name == "values" else _number(given)
+        except jax.errors.ConcretizationTypeError:
+            kind = type(law).__name__
+            raise InputError(
+                f"{kind}.{field.name} is traced, but a prior is part of the program: make it outside of jit"
+            ) from None
+        except (TypeError, ValueError):
+            raise InputError(f"{type(law).__name__}.{field.name} must be a number, got {given!r}") from None
+        object.__setattr__(law, field.name, number)
+
+
 def _require(law: Any, fine: bool, what: str) -> None:
     if not fine:
         raise InputError(f"{law}: {what}")
@@ -166,14 +193,32 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
     for stage, tree in prior.items():
         for field, spec in specs(type(tree)).items():
             value = getattr(tree, field)
-            if np.size(value) == 0:
-                raise InputError(f"{stage}.{field} holds no number")
+            path = f"{stage}.{field}"
+            if not is_distribution(value):
+                _check_constant(path, spec, value)
             low, high = value.support if is_distribution(value) else (np.min(value), np.max(value))
             tolerance = 1e-6 * (spec.bounds[1] - spec.bounds[0])
             if not (spec.bounds[0] - tolerance <= low <= high <= spec.bounds[1] + tolerance):
+                shown = f" = {low:g}" if low == high else f": [{low:g}, {high:g}]"
                 bounds = f"[{spec.bounds[0]:g}, {spec.bounds[1]:g}]"
-                raise InputError(f"{stage}.{field}: [{low:g}, {high:g}] is not within {bounds}")
+                raise InputError(f"{path}{shown} is not within {bounds}")
     return prior
+
+
+def _check_constant(path: str, spec: Spec, value: Any) -> None:
+    """Raise InputError where a leaf of a prior is neither a distribution nor numbers of the right shape."""
+    try:
+        array = np.asarray(value, np.float32)
+    except jax.errors.ConcretizationTypeError:
+        raise InputError(f"{path} is traced, but a prior is part of the program") from None
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: {value!r} is neither a number nor a distribution") from None
+    if array.size == 0:
+        raise InputError(f"{path} holds no number")
+    if not (array.shape == spec.shape or (spec.any_length and array.ndim == len(spec.shape))):
+        pair = isinstance(value, tuple | list) and array.shape == (2,)
+        advice = f"; for a range give Uniform({value[0]!r}, {value[1]!r})" if pair else ""
+        raise InputError(f"{path} has the shape {spec.shape}, got {value!r}{advice}")
 
 
 def draw(key: jax.Array, prior: dict[str, Any], like: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -11,19 +11,22 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
+from jaxisp.arrays.barriers import store
 from jaxisp.domains import ENCODED, accepts
-from jaxisp.errors import InputError, one_line
+from jaxisp.errors import InputError, meant, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
-from jaxisp.pipeline import Node, over_batch, sample_keys
+from jaxisp.params import specs
+from jaxisp.pipeline import Chain, Node, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
-from jaxisp.strips import Chain
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 
 BRIGHTEST = 4.0
 """Of encoded pictures; those that were sharpened or are linear light do not reach it, 8-bit levels do."""
+DARKEST = -0.25
+"""Likewise: pictures that were sharpened or resized do not reach it, those from -1 to 1 do."""
 LAST_INDEX = 2**31 - 1
 """Of samples."""
 _SIZE = (64, 64)  # of the picture that a recipe is tried on
@@ -41,17 +44,24 @@ class Recipe:
     description: str = ""
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from and how it is meant: plain TOML values that no computation needs."""
+    _before: dict[str, Any] | None = dataclasses.field(default=None, repr=False)
+    """The prior that `dataclasses.replace` hands on: what a new prior leaves out keeps it."""
 
     def __post_init__(self) -> None:
         default = self.chain.init()
-        unknown = sorted(set(self.prior) - set(default))
-        if unknown:
-            raise InputError(
-                f"recipe {self.name!r} has no stage {', '.join(unknown)}; it has {sorted(default)}"
-            )
+        for name, own in self.prior.items():
+            if name not in default:
+                hint = meant(name, default) or f"; it has {sorted(default)}"
+                raise InputError(f"recipe {self.name!r} has no stage {name}{hint}")
+            if not isinstance(own, type(default[name])):
+                kind = type(default[name]).__name__
+                raise InputError(f"recipe {self.name!r}: {name} must be a {kind}(...), got {short(own)}")
+        kept = {n: own for n, own in (self._before or {}).items() if isinstance(own, type(default.get(n)))}
         # in the order of the chain, so that equal recipes have equal text
-        object.__setattr__(self, "prior", {n: self.prior.get(n, values) for n, values in default.items()})
-        check_prior(self.prior)
+        whole = {n: self.prior.get(n, kept.get(n, values)) for n, values in default.items()}
+        object.__setattr__(self, "prior", whole)
+        object.__setattr__(self, "_before", whole)
+        check_prior(whole)
 
     @property
     def name(self) -> str:
@@ -67,6 +77,27 @@ class Recipe:
 
     def __hash__(self) -> int:
         return hash(self._text)
+
+    def override(self, **stages: dict[str, Any]) -> "Recipe":
+        """The recipe with some parameters drawn otherwise; all others stay.
+
+        `recipe.override(shot_read_noise={"read": Uniform(0.0, 0.05)})`; a number is not drawn.
+
+        Raises:
+            InputError: there is no such stage or parameter, or it may not be what is given.
+        """
+        changed = {}
+        for name, values in stages.items():
+            if name not in self.prior:
+                hint = meant(name, self.prior) or f"; it has {sorted(self.prior)}"
+                raise InputError(f"recipe {self.name!r} has no stage {name}{hint}")
+            known = specs(type(self.prior[name]))
+            if not isinstance(values, dict) or set(values) - set(known):
+                raise InputError(
+                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}, got {short(values)}"
+                )
+            changed[name] = dataclasses.replace(self.prior[name], **values)
+        return dataclasses.replace(self, prior=changed)
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
         """One draw of the parameters."""
@@ -88,8 +119,8 @@ class Recipe:
 
         Raises:
             TypeError: images are not (N, H, W, 3) floats, or the key is none.
-            ValueError: images in host memory hold NaN or are far above 1, as 8-bit levels are; they have no
-                pixels; or there is no such index.
+            ValueError: images hold NaN or are far outside [0, 1], as levels of 0 to 255 or -1 to 1 are (not
+                known of traced ones); they have no pixels; or there is no such index.
         """
         check_backend()
         return _degrade(self, *self._taken(key, images, start))
@@ -110,10 +141,7 @@ class Recipe:
             raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
         if not isinstance(key, jax.Array | np.ndarray):
             raise TypeError(f"recipe {self.name!r} takes a JAX key, as jax.random.key(0), got {key!r}")
-        most = float(images.max()) if isinstance(images, np.ndarray) and images.size else 0.0
-        if not most <= BRIGHTEST:
-            advice = ": divide 8 bits by 255" if most > BRIGHTEST else ""  # none for NaN
-            raise ValueError(f"recipe {self.name!r} takes levels in [0, 1], got {most:g}{advice}")
+        check_levels(images, f"recipe {self.name!r}")
         return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
     def to_toml(self) -> str:
@@ -154,6 +182,36 @@ class Recipe:
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
         return cls._from_table(read_toml(path), str(path))
+
+
+def check_levels(images: ArrayLike, who: str) -> None:
+    """Raise ValueError where images hold what encoded pictures in [0, 1] do not: NaN, 0 to 255, -1 to 1.
+
+    Wherever they are; of traced images, and of those that other processes hold a part of, nothing is known.
+    """
+    if isinstance(images, jax.core.Tracer) or not np.size(images):
+        return
+    if isinstance(images, jax.Array):
+        if not images.is_fully_addressable:
+            return
+        low, high = map(float, _range(images))
+    else:
+        given = np.asarray(images)
+        low, high = float(given.min()), float(given.max())
+    if low >= DARKEST and high <= BRIGHTEST:
+        return
+    if not np.isfinite(low + high):
+        what, advice = "NaN or infinite values", ""
+    elif high > BRIGHTEST:
+        what, advice = f"levels from {low:g} to {high:g}", ": divide 8 bits by 255"
+    else:
+        what, advice = f"levels from {low:g} to {high:g}", ": for -1 to 1 give (x + 1) / 2"
+    raise ValueError(f"{who} takes levels in [0, 1], got {what}{advice}")
+
+
+@jax.jit
+def _range(images: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return images.min(), images.max()
 
 
 def check_photographs(recipe: Recipe) -> None:
@@ -223,7 +281,8 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 @functools.partial(jax.jit, static_argnums=0)
 def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
     drawing, _ = _keys(key, start, len(images))
-    params = jax.vmap(recipe.draw)(drawing)
+    # stored, or what is drawn would be computed, and rounded, within what uses it
+    params = store(jax.vmap(recipe.draw)(drawing))
     # the images leave as a copy: what was given may be overwritten or donated
     return _repeat(recipe, key, params, images, start), images, params
 

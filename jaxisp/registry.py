@@ -6,49 +6,123 @@ keyword-only arguments are static options.
 """
 
 import functools
+import importlib
 import inspect
 import re
 import typing
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
+from weakref import WeakKeyDictionary
 
 import jax
 
 from jaxisp.domains import Domain
 
-REGISTRY: dict[str, Callable[..., jax.Array]] = {}
+StageFunction = Callable[..., jax.Array]
+Reach = int | None | Callable[[Mapping[str, Any]], int | None]
+"""Pixels, or a function of the static options that gives them; None: the whole frame, or not known."""
 
+REGISTRY: dict[str, StageFunction] = {}
+"""Registered stage functions by name. `find_stage` sees to it that the package's own are there."""
 
-def register(fn: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
+Block = int | Callable[[Mapping[str, Any]], int]
+"""Rows, or a function of the static options that gives them."""
 
-    A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
-    test. Users register their own in the same way; a notebook's cell that is run again replaces its own.
-    """
-    known = REGISTRY.get(fn.__name__, fn)
-    if (known.__module__, known.__qualname__) != (fn.__module__, fn.__qualname__):
-        raise ValueError(f"a stage named {fn.__name__!r} is registered already")
-    signature(fn)
-    REGISTRY[fn.__name__] = fn
-    return fn
+CELL = 2
+"""Rows of a Bayer mosaic's cell."""
+LARGEST_CELL = 6
+"""Of X-Trans."""
 
 
 @dataclass(frozen=True)
+class Locality:
+    """How a stage may be cut into strips of rows: how far it looks, and where a strip may begin."""
+
+    reach: Reach = None
+    block: Block = CELL
+
+
+_LOCALITY: WeakKeyDictionary[StageFunction, Locality] = WeakKeyDictionary()
+
+
+@overload
+def register(fn: StageFunction, /) -> StageFunction: ...
+@overload
+def register(*, reach: Reach = None, block: Block = CELL) -> Callable[[StageFunction], StageFunction]: ...
+def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: Block = CELL) -> Any:
+    """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
+
+    A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
+    test. Users register their own in the same way, as `@register` or `@register(reach=2)`; a notebook's
+    cell that is run again replaces its own.
+
+    Args:
+        fn: the stage function.
+        reach: how far from a pixel its result depends on the image [px], borders reflected, 0 for what is
+            pointwise; or a function of the static options that gives this. Chains work on large frames in
+            strips of rows with so many more around them. None, the default: the result depends on the whole
+            frame or on a pixel's position, and the stage runs on the whole frame.
+        block: rows of the blocks it works in, counted from the top: 2 for a Bayer mosaic's cells, 6 for those
+            of X-Trans; or a function of the static options. A stage of larger blocks, as an encoder, runs in
+            strips of its own.
+
+    Raises:
+        TypeError: it is no stage function, or one that draws noise has a reach.
+        ValueError: another stage has its name.
+    """
+    if fn is None:
+        return functools.partial(_register, locality=Locality(reach, block))
+    return _register(fn, Locality(reach, block))
+
+
+def _register(fn: StageFunction, locality: Locality) -> StageFunction:
+    if not fn.__module__.startswith("jaxisp."):
+        _load_stages()  # else it would depend on what was imported before whether the name is free
+    known = REGISTRY.get(fn.__name__, fn)
+    if (known.__module__, known.__qualname__) != (fn.__module__, fn.__qualname__):
+        raise ValueError(f"a stage named {fn.__name__!r} is registered already")
+    declared = signature(fn)
+    if declared.stochastic and locality.reach is not None:
+        raise TypeError(f"{fn.__name__}: noise depends on a pixel's position, so that it has no reach")
+    REGISTRY[fn.__name__] = fn
+    _LOCALITY[fn] = locality
+    return fn
+
+
+def find_stage(name: str) -> StageFunction:
+    """A registered stage function, whatever was imported so far. Raises KeyError where there is none."""
+    if name not in REGISTRY:
+        _load_stages()
+    if name not in REGISTRY:
+        raise KeyError(f"no stage named {name!r}; there are {', '.join(sorted(REGISTRY))}")
+    return REGISTRY[name]
+
+
+def _load_stages() -> None:
+    importlib.import_module("jaxisp.stages")  # they import this module, and register themselves
+
+
+def locality(fn: StageFunction) -> Locality:
+    """What was said of a stage function when it was registered; of others nothing is known."""
+    return _LOCALITY.get(fn, Locality())
+
+
+@dataclass(frozen=True, eq=False)
 class Signature:
     """What a stage function declares."""
 
     params: type | None
     stochastic: bool
     static: tuple[tuple[str, Hashable], ...]
+    hints: Mapping[str, Any]
+    """Annotations of the static options."""
     domain_in: Domain
     domain_out: Domain
-    checks: tuple[tuple[str, Callable[[Any], Any]], ...] = ()
-    """By static option annotated as `Annotated[T, check]`: what raises ValueError where a value is none."""
 
 
 @functools.cache
-def signature(fn: Callable[..., jax.Array]) -> Signature:
+def signature(fn: StageFunction) -> Signature:
     """Read a stage function's declaration. Raises TypeError where it is not one."""
     hints = typing.get_type_hints(fn, include_extras=True)
     arguments = inspect.signature(fn).parameters
@@ -63,9 +137,9 @@ def signature(fn: Callable[..., jax.Array]) -> Signature:
         domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
     except (KeyError, AttributeError):
         raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
-    checks = tuple((n, hints[n].__metadata__[0]) for n in static if hasattr(hints.get(n), "__metadata__"))
+    limits = {name: hints[name] for name in static if name in hints}
     return Signature(
-        hints.get("params"), "key" in arguments, tuple(static.items()), domain_in, domain_out, checks
+        hints.get("params"), "key" in arguments, tuple(static.items()), limits, domain_in, domain_out
     )
 
 

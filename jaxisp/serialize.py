@@ -8,7 +8,7 @@ or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distributi
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
 
 Table = dict[str, Any]
-_OPTIONS: dict[Any, tuple[type, ...]] = {bool: (bool,), int: (int,), float: (float, int), str: (str,)}
-"""What may be written for an option that a stage annotates so."""
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
 
 
@@ -60,14 +58,7 @@ def decode_node(table: Any) -> Node:
 
 
 def _decode_stage(table: Table) -> Node:
-    options = table.get("options", {})
-    decoded = stage(table["stage"], name=table.get("name"), **options)
-    hints = get_type_hints(decoded.fn)
-    for name, value in options.items():
-        kinds = _OPTIONS.get(hints.get(name))
-        if kinds and type(value) not in kinds:  # a bool is an int elsewhere
-            raise InputError(f"{decoded.name}: option {name} must be {kinds[0].__name__}, got {short(value)}")
-    return decoded
+    return stage(table["stage"], name=table.get("name"), **table.get("options", {}))
 
 
 def _named(kind: Callable[..., Node], inner: Any, table: Table) -> Node:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rawpy
 
+from jaxisp.arrays.strips import ROWS
 from jaxisp.camera import develop, high_percentile, params_for, shaded_mosaic, standard_camera, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.io import read_raw
@@ -14,7 +15,6 @@ from jaxisp.priors import Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene, write_pairs
-from jaxisp.strips import ROWS, reach
 from tests.io.samples import dng, mosaic
 
 
@@ -125,7 +125,7 @@ def test_the_pattern_reaches_every_stage_that_needs_it():
 
 def test_a_frame_is_developed_in_strips(raw):
     camera = standard_camera("demosaic_hibbard")
-    assert raw.mosaic.shape[0] > ROWS + 2 * reach(camera.chain)
+    assert raw.mosaic.shape[0] > ROWS + 2 * camera.chain.reach
     chain = with_cfa(camera.chain, raw.cfa)
     whole = np.clip(run(chain, params_for(camera, raw), raw.mosaic), 0, 1)
     np.testing.assert_allclose(develop(raw, camera), whole, atol=1e-6)

@@ -113,7 +113,7 @@ def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photog
     ("recipe", "message"),
     [
         ('stages = [{ stage = "rounding", options = { bits = "eight" } }]', "bits must be int, got 'eight'"),
-        ('stages = [{ stage = "rounding", options = { bits = 0 } }]', "bits must be in 1..16"),
+        ('stages = [{ stage = "rounding", options = { bits = 0 } }]', "option bits must be from 1 to 16"),
         ('stages = [{ stage = "gaussian_noise", name = 5 }]', "name must be text"),
         ('stages = [{ stage = "spline_curve" }]\nparams.spline_curve.offsets = [0.1]', "spline_curve"),
         (

@@ -11,14 +11,14 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxisp"
 LAYERS = [
     {"errors", "process"},
-    {"params", "domains", "arrays"},
+    {"params", "domains", "options", "arrays"},
     {"checks", "priors", "cfa", "color", "colorimetry", "metrics", "losses"},
     {"registry"},
     {"node"},
     {"pipeline", "jpeg", "io"},
     {"testing"},
     {"stages", "samples"},
-    {"serialize", "strips"},
+    {"serialize"},
     {"recipe"},
     {"recipes", "camera", "encoder", "report"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
@@ -28,6 +28,11 @@ LAYERS = [
     {"cli"},
 ]
 RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
+GAP = (
+    "parallel", "pairs", "simulator", "features", "axes", "criteria", "objective", "gauss_newton", "case",
+    "base", "search", "downstream", "report", "diagnose", "residual",
+)  # fmt: skip
+"""The folders and modules of the diagnosis, lowest first: each imports only those before it."""
 
 
 def modules() -> list[Path]:
@@ -35,26 +40,56 @@ def modules() -> list[Path]:
     return sorted(set(PACKAGE.rglob("*.py")) - entry)
 
 
-def layer(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def layer(path: Path, within: Path = PACKAGE) -> str:
+    return path.relative_to(within).parts[0].removesuffix(".py")
 
 
-def imported(path: Path) -> set[str]:
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def imported(text: str, package: str = "jaxisp") -> set[str]:
+    """The folders and modules of a package that a module imports, wherever in it."""
+    found, depth = set(), package.count(".") + 1
+    for node in ast.walk(ast.parse(text)):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [node.module] + [f"{node.module}.{a.name}" for a in node.names]
-        found |= {n.split(".")[1] for n in names if n.startswith("jaxisp.")}
+        found |= {n.split(".")[depth] for n in names if n.startswith(f"{package}.")}
     return found - {"__version__"}
+
+
+def upward(text: str, own: str) -> set[str]:
+    """What a module of a folder of the diagnosis must not import."""
+    return {name for name in imported(text, "jaxisp.gap") if GAP.index(name) > GAP.index(own)}
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_imports_point_down(path):
     own = layer(path)
     assert own in RANK, f"{own}: say in which layer it is"
-    upward = {name for name in imported(path) if RANK[name] > RANK[own]}
-    assert not upward, f"{path.name} imports upwards: {upward}"
+    above = {name for name in imported(path.read_text()) if RANK[name] > RANK[own]}
+    assert not above, f"{path.name} imports upwards: {above}"
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted({*(PACKAGE / "gap").rglob("*.py")} - {PACKAGE / "gap" / "__init__.py"}),
+    ids=lambda p: str(p.relative_to(PACKAGE / "gap")),
+)
+def test_the_folders_of_the_diagnosis_import_one_way(path):
+    own = layer(path, PACKAGE / "gap")
+    assert own in GAP, f"{own}: say where in the order it is"
+    assert not upward(path.read_text(), own), f"{path.name} imports upwards"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from jaxisp.gap.search.refit import Trial",
+        "from jaxisp.gap import search",
+        "import jaxisp.gap.search.refit",
+        "def late():\n    from jaxisp.gap.search import refit",
+    ],
+)
+def test_an_import_upwards_is_seen(line):
+    assert upward(line, "objective") == {"search"} and upward(line, "report") == set()
 
 
 def test_io_does_not_need_jax_arrays():
@@ -94,3 +129,43 @@ def test_the_names_at_the_top_are_what_they_say():
         assert name in dir(jaxisp)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = jaxisp.nonsense
+
+
+FRESH = {
+    "a stage by name": "import jaxisp; assert jaxisp.stage('bilateral').name == 'bilateral'",
+    "the pipeline alone": "from jaxisp.pipeline import stage; stage('median')",
+    "a node alone": "from jaxisp.node import stage; stage('jpeg')",
+    "what a name may be": """
+import jaxisp
+try:
+    jaxisp.stage("bilaterall")
+except KeyError as error:
+    assert "bilateral" in str(error), error
+""",
+    "a name that is taken": """
+from jaxisp.pipeline import register
+from jaxisp.domains import RGB
+def bilateral(image: RGB) -> RGB:
+    return image
+try:
+    register(bilateral)
+except ValueError as error:
+    assert "registered already" in str(error), error
+else:
+    raise AssertionError("taken")
+""",
+    "modules": """
+import jaxisp
+for name in ("data", "train", "gap", "explore", "models", "camera", "losses", "errors", "pipeline", "recipe"):
+    assert getattr(jaxisp, name).__name__ == f"jaxisp.{name}", name
+""",
+    "the process": "import jaxisp; jaxisp.keep_freed(); jaxisp.keep_compiled('{folder}')",
+}
+
+
+@pytest.mark.parametrize("what", FRESH)
+def test_in_a_fresh_process(what, tmp_path):
+    """A stage and a module are found whatever was imported before."""
+    code = FRESH[what].replace("{folder}", str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

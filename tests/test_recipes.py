@@ -163,7 +163,7 @@ def test_wrong_images_are_refused(images):
 
 def test_levels_of_8_bits_and_a_key_that_is_none_are_refused_in_words():
     images = np.full((1, 8, 8, 3), 200, np.float32)
-    with pytest.raises(ValueError, match="got 200: divide 8 bits by 255"):
+    with pytest.raises(ValueError, match="got levels from 200 to 200: divide 8 bits by 255"):
         RECIPES["awgn"]().degrade(KEY, images)
     with pytest.raises(TypeError, match=r"jax\.random\.key\(0\), got 0"):
         RECIPES["awgn"]().degrade(0, images / 255)
@@ -199,9 +199,9 @@ def test_a_stage_that_was_edited_is_compiled_anew():
 def test_nan_does_not_pass_for_a_picture():
     bad = IMAGES.copy()
     bad[0, 10, 10, 1] = np.nan
-    with pytest.raises(ValueError, match="got nan"):
+    with pytest.raises(ValueError, match="got NaN"):
         RECIPES["phone"]().degrade(KEY, bad)
-    noisy = np.asarray(RECIPES["phone"]().degrade(KEY, jnp.asarray(bad))[0])  # not looked at on the host
+    noisy = np.asarray(jax.jit(RECIPES["phone"]().degrade)(KEY, bad)[0])  # traced, so not looked at
     assert np.isnan(noisy[0, 10, 10]).all() and np.isfinite(noisy[1:]).all()
 
 
@@ -237,10 +237,10 @@ def recipe_of(stages, params=""):
     [
         (
             '{stage="srgb_eotf"}, {stage="mosaic", options={cfa="XXXX"}}, {stage="demosaic_ahd"}', "",
-            r"mosaic \(cfa = 'XXXX'\): cfa 'XXXX' is not one of",
+            "mosaic: option cfa must be one of",
         ),
-        ('{stage="rounding", options={bits=0}}', "", r"rounding \(bits = 0\): bits must be in 1..16, got 0"),
-        ('{gate={stage="unsharp_mask", options={radius=-3}}}', "", r"use_unsharp_mask \(radius = -3\): "),
+        ('{stage="rounding", options={bits=0}}', "", "rounding: option bits must be from 1 to 16, got 0"),
+        ('{gate={stage="unsharp_mask", options={radius=-3}}}', "", "unsharp_mask: option radius must be"),
         ('{stage="spline_curve"}', "[params.spline_curve]\noffsets=[0.1]", "spline_curve: "),
         ('{stage="motion_blur"}', "[params.motion_blur]\nlengths=[1.0]", r"motion_blur: \(1,\) lengths but"),
         (
@@ -250,7 +250,7 @@ def recipe_of(stages, params=""):
     ],
 )  # fmt: skip
 def test_what_stages_refuse_is_told_before_any_work(stages, params, message):
-    with pytest.raises(InputError, match=f"^recipe 'mine': {message}") as caught:
+    with pytest.raises(InputError, match=f"^recipe( 'mine')?: {message}") as caught:
         check_traces(recipe_of(stages, params))
     assert "\n" not in str(caught.value)
 

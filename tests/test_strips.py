@@ -1,13 +1,18 @@
 """Large frames in strips: the same picture, and how far each stage looks."""
 
+import itertools
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
 
+from jaxisp.cfa import XTRANS
+from jaxisp.domains import RGB
 from jaxisp.params import map_specs
-from jaxisp.pipeline import Chain, Gate, Shuffle, run, signature, stage
+from jaxisp.pipeline import REGISTRY, Chain, Gate, Shuffle, register, run, run_in_strips, stage
 from jaxisp.stages import STAGES
-from jaxisp.strips import REACH, reach, run_in_strips
 from jaxisp.testing import smooth_image
 
 SMALL = {
@@ -17,8 +22,30 @@ SMALL = {
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},
 }
-FAR = [stage(name, **SMALL.get(name, {})) for name in sorted(REACH) if reach(stage(name))]
-NEAR = [name for name in sorted(REACH) if reach(stage(name)) == 0]
+OPTIONS = {
+    "bilateral": {"iterations": [1, 2]},
+    "color_difference_median": {"passes": [1, 3]},
+    "demosaic_ahd": {"delta": [1, 3], "median_passes": [0, 1], "variant": ["paper", "libraw"]},
+    "demosaic_markesteijn": {"passes": [1, 3], "clipped": [True, False]},
+    "demosaic_menon": {"refining": [True, False]},
+    "demosaic_normalized_convolution": {"cfa": ["RGGB", XTRANS]},
+    "jpeg": {"subsampling": ["4:2:0", "4:4:4"], "row_phase": [0, 5]},
+    "jpeg_file": {"subsampling": ["4:2:0"], "components": ["YCbCr", "RGB"], "converts": [True, False]},
+    "jpeg_photoshop": {"subsampling": ["auto", "4:2:0"]},
+    "jpeg_tables": {"subsampling": ["4:2:0"], "column_phase": [0, 11]},
+    "median": {"footprint": ["cross", "5x5"], "iterations": [1, 3]},
+}
+"""Options that may change how far a stage looks; each combination is tried."""
+
+FAR = [stage(name, **SMALL.get(name, {})) for name in sorted(STAGES) if stage(name).reach]
+NEAR = [stage(name) for name in sorted(STAGES) if stage(name).reach == 0]
+
+
+def cases():
+    for node in [*FAR, *NEAR]:
+        options = OPTIONS.get(node.name, {})
+        for values in itertools.product(*options.values()):
+            yield stage(node.name, **SMALL.get(node.name, {}) | dict(zip(options, values)))
 
 
 def middle(node):
@@ -42,9 +69,50 @@ def test_a_stage_that_looks_around_is_the_same_in_strips(node):
     np.testing.assert_allclose(parts, whole, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", NEAR)
-def test_a_stage_that_looks_nowhere_is_the_same_in_halves(name):
-    node = stage(name)
+def beyond(node):
+    """The pixels that change, of a few trials, though all that changed in the image is out of reach."""
+    call = jax.jit(lambda x: node(middle(node), x))
+    far, rng = node.reach, np.random.default_rng(0)
+    image = image_for(node, 2 * far + 40, 2 * far + 38)
+    found = 0
+    for _ in range(6):
+        row, column = (int(rng.integers(far, n - far)) for n in image.shape[:2])
+        kept = np.zeros(image.shape[:2], bool)
+        kept[row - far : row + far + 1, column - far : column + far + 1] = True
+        other = np.where(kept if image.ndim == 2 else kept[..., None], image, rng.uniform(size=image.shape))
+        found += int((call(other.astype(np.float32))[row, column] != call(image)[row, column]).any())
+    return found
+
+
+@pytest.mark.parametrize("node", list(cases()), ids=lambda node: f"{node.name} {dict(node.static)}")
+def test_a_stage_looks_no_farther_than_its_reach(node):
+    """All that is out of a pixel's reach is replaced by noise: the pixel keeps its bits."""
+    assert not beyond(node)
+
+
+def test_every_option_that_may_change_a_reach_is_tried():
+    """Where a stage gets an option, try it above, or say here that it does not matter."""
+    without = {"cfa", "chroma_bins", "chroma_cell", "luma", "chroma", "row_phase", "column_phase"}
+    for node in FAR:
+        tried = {*OPTIONS.get(node.name, {}), *SMALL.get(node.name, {})}
+        assert set(node.options) - without <= tried, node.name
+
+
+def test_a_wrong_reach_fails():
+    """The check above sees a stage that says that it looks less far than it does."""
+    try:
+
+        @register(reach=1)
+        def looks_two_rows_up(image: RGB) -> RGB:
+            return image + 0.5 * jax.numpy.roll(image, 2, axis=0)
+
+        assert beyond(stage(looks_two_rows_up))
+    finally:
+        del REGISTRY["looks_two_rows_up"]
+
+
+@pytest.mark.parametrize("node", NEAR, ids=lambda node: node.name)
+def test_a_stage_that_looks_nowhere_is_the_same_in_halves(node):
     image = image_for(node, 12)
     call = jax.jit(lambda x: node(middle(node), x))
     halves = np.concatenate([call(image[:6]), call(image[6:])])
@@ -53,46 +121,56 @@ def test_a_stage_that_looks_nowhere_is_the_same_in_halves(name):
 
 def test_what_needs_the_whole_frame_has_no_reach():
     for name in ("vignetting", "auto_exposure", "wavelet_coring", "shot_read_noise", "resize"):
-        assert reach(stage(name)) is None
-    assert reach(stage("bilateral", chroma_cell=4)) is None
-    assert set(REACH) <= set(STAGES)
-    assert not any(signature(STAGES[name]).stochastic for name in REACH)
+        assert stage(name).reach is None
+    assert stage("bilateral", chroma_cell=4).reach is None
 
 
-def test_no_option_is_new():
-    """Where a stage gets an option, say in `REACH` whether it changes how far the stage looks."""
-    options = {node.name: " ".join(sorted(node.options)) for node in FAR}
-    jpeg = "column_phase row_phase subsampling"
-    assert options == {
-        "bilateral": "chroma_bins chroma_cell chroma_radius iterations radius",
-        "color_difference_median": "passes",
-        "demosaic_ahd": "cfa delta median_passes variant",
-        "demosaic_bilinear": "cfa",
-        "demosaic_edge_aware": "cfa",
-        "demosaic_hamilton_adams": "cfa",
-        "demosaic_hibbard": "cfa",
-        "demosaic_malvar": "cfa",
-        "demosaic_markesteijn": "cfa clipped passes",
-        "demosaic_menon": "cfa refining",
-        "demosaic_normalized_convolution": "cfa",
-        "demosaic_vng": "cfa",
-        "jpeg": jpeg,
-        "jpeg_file": "components converts subsampling",
-        "jpeg_photoshop": "subsampling",
-        "jpeg_tables": jpeg,
-        "median": "chroma footprint iterations luma",
-        "optical_blur": "radius",
-        "unsharp_mask": "radius",
-    }
+def test_a_function_has_the_reach_it_was_registered_with():
+    """Not that of a stage of its name: a stage of one's own has none unless it says so."""
+
+    def clip(image: RGB) -> RGB:
+        return image / image.max()
+
+    def grain(image: RGB, *, key: jax.Array) -> RGB:
+        return image + jax.random.normal(key, image.shape)
+
+    assert stage("clip").reach == 0 and stage(clip).reach is None
+    with pytest.raises(TypeError, match="grain: noise depends on a pixel's position"):
+        register(reach=0)(grain)
+    assert "grain" not in REGISTRY
+
+
+COMPILED = """
+import hashlib
+{imports}
+import jax, numpy as np
+from jaxisp.pipeline import Chain, run, stage
+chain = Chain((stage("demosaic_malvar"), stage("optical_blur", radius=3), stage("srgb_oetf")))
+mosaic = np.random.default_rng(0).uniform(size=(600, 512)).astype(np.float32)
+text = jax.jit(lambda x: chain(chain.init(), x)).lower(mosaic).as_text()
+bits = np.asarray(run(chain, chain.init(), mosaic)).tobytes()
+print("while" in text, *(hashlib.sha256(x).hexdigest() for x in (text.encode(), bits)))
+"""
+
+
+def test_what_is_compiled_does_not_depend_on_what_was_imported():
+    """A large frame is run in strips, by one program."""
+    said = set()
+    for imports in ("", "import jaxisp.gap, jaxisp.camera, jaxisp.cli.develop"):
+        code = COMPILED.format(imports=imports)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        said.add(done.stdout)
+    assert len(said) == 1 and said.pop().startswith("True")
 
 
 def test_the_reach_of_compositions_adds_up():
     median = stage("median", footprint="5x5")
     sharper = stage("unsharp_mask", radius=3)
-    assert reach(Chain((stage("demosaic_malvar"), median, stage("srgb_oetf")))) == 4
-    assert reach(Shuffle((median, sharper))) == 5 and reach(Gate(sharper)) == 3
-    assert reach(Chain((median, stage("vignetting")))) is None
-    assert reach(stage("bilateral", radius=2, chroma_radius=4, iterations=2)) == 12
+    assert Chain((stage("demosaic_malvar"), median, stage("srgb_oetf"))).reach == 4
+    assert Shuffle((median, sharper)).reach == 5 and Gate(sharper).reach == 3
+    assert Chain((median, stage("vignetting"))).reach is None
+    assert stage("bilateral", radius=2, chroma_radius=4, iterations=2).reach == 12
 
 
 @pytest.mark.parametrize("height", [97, 110])

@@ -1,9 +1,11 @@
 """The study of withheld effects: which cases it has, what it keeps of a diagnosis, what its tables count."""
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from experiments import null_drops
@@ -24,8 +26,7 @@ from experiments.withheld.study import (
     true_closure,
 )
 from experiments.withheld.tables import markdown, wilson
-from jaxisp.gap.case import NULL_DROP
-from jaxisp.gap.search import verdict
+from jaxisp.gap.criteria import CRITERIA, Criteria
 
 
 def report(verdict: str, *causes: str) -> dict[str, object]:
@@ -88,16 +89,15 @@ def test_what_lowers_the_gap_of_a_camera_that_lacks_nothing() -> None:
 
 
 def test_nulls_are_searched_for_one_cause_though_their_gap_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    def diagnosis(folder: str) -> SimpleNamespace:
+    def diagnosis(folder: str, criteria: Criteria) -> SimpleNamespace:
         assert len(list(Path(folder).glob("*.jpg"))) == 8
-        assert NULL_DROP[KINDS[1]] < 0 and verdict.MOST_CAUSES == 1
+        assert criteria == dataclasses.replace(CRITERIA[KINDS[1]], null_drop=-np.inf, most_causes=1)
         gap = {"before": 1.5, "floor": 1.0}
         return SimpleNamespace(report={"kind": KINDS[1], "gap": gap, "ranking": []})
 
     monkeypatch.setattr(null_drops, "diagnose", diagnosis)
     case = next(cases(KINDS[1], "nulls", ["alder"], [1]))
     assert null_drops.looked_at(case) == {"case": case.name, "kind": KINDS[1], "above": 0.5, "lowered": {}}
-    assert NULL_DROP[KINDS[1]] > 0 and verdict.MOST_CAUSES > 1
 
 
 def test_deleting_hides_the_true_effect_alone() -> None:
@@ -133,7 +133,7 @@ def test_scenes_may_have_several_frames(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize(("more", "excluded"), [(-0.01, [34]), (0.0, [34, 0])])
 def test_nulls_whose_gap_is_too_small_are_not_searched(kind: str, more: float, excluded: list[int]) -> None:
     """A diagnosis looks for no effect there, so that the verdict is the same."""
-    assert _TOO_SMALL[kind] < 1 + NULL_DROP[kind] < _TOO_SMALL[kind] + 0.15
+    assert _TOO_SMALL[kind] < 1 + CRITERIA[kind].null_drop < _TOO_SMALL[kind] + 0.15
     tried = []
 
     def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:

@@ -17,7 +17,7 @@ from jaxisp.camera import develop, standard_camera
 from jaxisp.io import read_raw
 from jaxisp.io.dng import write_dng
 from jaxisp.metrics import psnr
-from jaxisp.pipeline import Chain, run, run_batch, stage
+from jaxisp.pipeline import Chain, run, run_batch, run_in_strips, stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scene
@@ -26,7 +26,6 @@ from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise
-from jaxisp.strips import run_in_strips
 
 NOISE, SIGMA_SPACE, SIGMA_RANGE, GAMMA, SATURATION, QUALITY = 0.02, 1.5, 0.1, 2.2, 1.2, 75
 AMOUNT, BLUR, BLUR_RADIUS = 0.5, 1.0, 3

@@ -14,9 +14,8 @@ from benchmarks.case import Case, Peer
 from benchmarks.torch_peer import left, tensor
 from jaxisp.cfa import masks, select
 from jaxisp.io.dng import write_dng
-from jaxisp.pipeline import run_batch, stage
+from jaxisp.pipeline import run_batch, run_in_strips, stage
 from jaxisp.samples import scene
-from jaxisp.strips import run_in_strips
 
 KEY = jax.random.key(0)
 MATRIX = np.eye(3)

@@ -16,6 +16,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from jaxisp.arrays.rows import elementwise
+from jaxisp.arrays.varying import alike
 
 _linear = Primitive("linear_with_transpose")
 _linear.multiple_results = True
@@ -38,6 +39,7 @@ def linear_call(
         residuals: pytree of arrays.
         x: pytree of arrays.
     """
+    residuals, x = alike((residuals, x))
     fixed, fixed_tree = jax.tree.flatten(residuals)
     moving, x_tree = jax.tree.flatten(x)
     y_tree = jax.tree.structure(jax.eval_shape(fn, residuals, x))
@@ -60,8 +62,7 @@ def _run(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[jax.Ar
 
 
 def _abstract(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[Any]:
-    shapes = jax.eval_shape(forward, *(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves))
-    return [jax.core.ShapedArray(s.shape, s.dtype) for s in shapes]
+    return list(jax.make_jaxpr(forward)(*leaves).out_avals)
 
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[Any, Any]:
@@ -170,12 +171,12 @@ def sums(fn: Callable[..., tuple[jax.Array, ...]], *images: jax.Array) -> tuple[
             rows = (lax.dynamic_index_in_dim(x, i, 0, keepdims=False) for x in images)
             return tuple(s + v for s, v in zip(so_far, fn(*rows)))
 
-        return lax.fori_loop(0, len(images[0]), body, start)
+        return lax.fori_loop(0, len(images[0]), body, alike(start, images))
 
     def at_once(*images: jax.Array) -> tuple[jax.Array, ...]:
         return tuple(v.sum(0) for v in fn(*images))
 
-    return lax.platform_dependent(*images, cpu=row_by_row, default=at_once)
+    return lax.platform_dependent(*alike(images), cpu=row_by_row, default=at_once)
 
 
 def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:

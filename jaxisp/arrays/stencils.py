@@ -17,6 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxisp.arrays.barriers import barrier_on_cpu, materialize, store
 from jaxisp.arrays.linear import inner_product, linear_call, total
 from jaxisp.arrays.safe_math import safe_divide
+from jaxisp.arrays.varying import alike
 
 Margin = int | tuple[int, int]
 _NARROW = 256  # px: beyond, a frame is wide
@@ -52,7 +53,7 @@ def pad(
         return _joined(_rows(x, rows, mode), [(0, 0), columns], mode)
 
     def joined_back(_: Any, y: jax.Array) -> jax.Array:
-        like = jax.ShapeDtypeStruct(plane.shape, plane.dtype)
+        like = alike(jnp.zeros(plane.shape, plane.dtype), y)
         return jax.linear_transpose(lambda x: _joined(x, widths, mode), like)(y)[0]
 
     return lax.optimization_barrier(linear_call(looked_up, joined_back, (), plane))

@@ -11,6 +11,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.arrays.barriers import materialize, on_all_cores
 from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.varying import alike
 
 _LARGE, _STRIP = 1 << 18, 1 << 17  # px: a frame that is worth strips, and one of them
 ROWS = 64
@@ -75,7 +76,7 @@ def in_strips(fn: Callable[[Any], Any], image: Any, reach: int, *, rows: int = R
         return _put(frame, _window(one(top), start - top, cut.core), start)
 
     empty = jax.tree.map(lambda s: jnp.zeros((cut.height, *s.shape[1:]), s.dtype), jax.eval_shape(one, 0))
-    return lax.fori_loop(0, cut.pieces, body, empty)
+    return lax.fori_loop(0, cut.pieces, body, alike(empty, image))
 
 
 def _pulled_in_strips(

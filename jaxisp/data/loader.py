@@ -12,7 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.clean import load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
-from jaxisp.recipe import Recipe
+from jaxisp.recipe import Recipe, check_levels
 
 Pair = tuple[jax.Array, jax.Array]
 
@@ -57,7 +57,7 @@ class Batches:
         self.source, self.batch, self.mesh = source, batch, mesh
         self.next, self._loading = start, start  # the batch that comes next, and that is cut next
         degrade = degrader(recipe, degrade_key(seed), mesh)
-        self._degrade = degrade if mesh is None else jax.jit(degrade)
+        self._degrade = jax.jit(degrade)  # traced: levels are checked on the host, where nothing waits for it
         self._pool = ThreadPoolExecutor(1, "jaxisp-batches")
         self._waiting: collections.deque[Future[tuple[jax.Array, jax.Array]]] = collections.deque()
         for _ in range(max(1, ahead)):
@@ -94,14 +94,19 @@ class Batches:
         self._waiting.append(self._pool.submit(self._load, range(first, first + self.batch)))
         self._loading += 1
 
+    def _cut(self, indices: range) -> np.ndarray:
+        clean = self.source.batch(indices)
+        check_levels(clean, "a batch")
+        return clean
+
     def _load(self, indices: range) -> tuple[jax.Array, jax.Array]:
         numbers = np.asarray(indices, np.int32)
         if self.mesh is None:
-            return jax.device_put(self.source.batch(indices)), jax.device_put(numbers)
+            return jax.device_put(self._cut(indices)), jax.device_put(numbers)
         rows = NamedSharding(self.mesh, PartitionSpec(self.mesh.axis_names[0]))
         own = rows.addressable_devices_indices_map((self.batch,))
         parts = [
-            jax.device_put(self.source.batch(indices[place[0]]), device)
+            jax.device_put(self._cut(indices[place[0]]), device)
             for device, place in own.items()
             if place is not None
         ]

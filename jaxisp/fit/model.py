@@ -8,7 +8,7 @@ from jaxisp.encoder import ENCODER, encoder_of
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, Saturation
-from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
@@ -178,11 +178,8 @@ def starts() -> list[Params]:
 
 def sampled(jpeg: Jpeg | None) -> Params:
     """The parameters of chroma sampling as a JPEG file states it; none where it is full."""
-    horizontal, vertical = _HALVED.get(jpeg.subsampling, (0.0, 0.0)) if jpeg else (0.0, 0.0)
+    horizontal, vertical = HALVED.get(jpeg.subsampling, (0.0, 0.0)) if jpeg else (0.0, 0.0)
     return {SAMPLING: ChromaSubsampling(horizontal=horizontal, vertical=vertical)}
-
-
-_HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 
 def with_jpeg(chain: Chain, jpeg: Jpeg | None) -> tuple[Chain, Params]:

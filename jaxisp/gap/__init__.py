@@ -1,7 +1,7 @@
 """The sim-to-real gap: where it lies, which unmodelled effect causes it, and how far it shrinks."""
 
-from jaxisp.gap.case import Downstream
 from jaxisp.gap.diagnose import Diagnosis, diagnose, diagnose_folder
+from jaxisp.gap.downstream.options import Downstream
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move, register_effect
 
 __all__ = [

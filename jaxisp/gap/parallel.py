@@ -1,12 +1,14 @@
-"""Points that have nothing to do with each other, looked at side by side.
+"""Independent pieces of work on threads, and results that threads share.
 
 A program for a few small pictures keeps one core busy for much of its time, and Python's lock is free then.
 """
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from jaxisp.process import cores
 
@@ -16,23 +18,45 @@ MOST = 4
 """Threads: each holds pictures of its own."""
 
 
-def each(look: Callable[[_One], _Found], points: Iterable[_One]) -> list[_Found]:
-    """As `[look(p) for p in points]`, on as many threads as the process may use cores.
+def parallel_map(function: Callable[[_One], _Found], items: Iterable[_One]) -> list[_Found]:
+    """As `[function(i) for i in items]`, on as many threads as the process may use cores.
 
-    The first is looked at alone: two threads that came to a new program at once would both compile it.
+    The first item runs alone: two threads that came to a new program at once would both compile it.
     """
-    points = list(points)
-    count = min(cores.available(), MOST, len(points) - 1)
+    items = list(items)
+    count = min(cores.available(), MOST, len(items) - 1)
     if count < 2:
-        return [look(point) for point in points]
+        return [function(item) for item in items]
     with ThreadPoolExecutor(count) as pool:
-        return [look(points[0]), *pool.map(look, points[1:])]
+        return [function(items[0]), *pool.map(function, items[1:])]
 
 
 @contextlib.contextmanager
-def beside(work: Callable[[], object]) -> Iterator[None]:
+def in_background(work: Callable[[], object]) -> Iterator[None]:
     """Do this on a thread of its own meanwhile, and wait for it at the end."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         yield
         done.result()
+
+
+class Memo(Generic[_Found]):
+    """The results last used of a function, by what they depend on; threads may share it."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._known: OrderedDict[Hashable, _Found] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], _Found]) -> _Found:
+        """The result that goes by this key, made where it is not known."""
+        with self._lock:
+            if key in self._known:
+                self._known.move_to_end(key)
+                return self._known[key]
+        made = make()
+        with self._lock:
+            self._known[key] = made
+            while len(self._known) > self._most:
+                self._known.popitem(last=False)
+        return made

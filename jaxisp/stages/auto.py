@@ -4,6 +4,7 @@ Statistics are of the one image, and gradients run through them.
 """
 
 import math
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import straight_through
 from jaxisp.color import luma
 from jaxisp.domains import RGB
+from jaxisp.options import one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -97,6 +99,9 @@ def auto_level(params: AutoLevel, image: RGB) -> RGB:
     return (image - black) / jnp.maximum(white - black, 1 / params.max_gain)
 
 
+Average = Annotated[str, one_of("log", "mean")]
+
+
 @parameters
 class AutoExposure:
     """How bright the image shall be."""
@@ -106,7 +111,7 @@ class AutoExposure:
 
 
 @register
-def auto_exposure(params: AutoExposure, image: RGB, *, average: str = "log") -> RGB:
+def auto_exposure(params: AutoExposure, image: RGB, *, average: Average = "log") -> RGB:
     """Scale the image so that its average luma is on target.
 
     `y = x min(target / average, 2**max_gain_ev)`, average = `exp(mean(log(max(Y, 1e-4))))` or `mean(Y)`,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxisp import cfa as filters
 from jaxisp.arrays.linear import scaled
 from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.cfa import Pattern, rows_of_cell
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
@@ -22,7 +23,7 @@ class WhiteBalance:
     )
 
 
-@register
+@register(reach=0)
 def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
     """Multiply each colour by its gain.
 
@@ -42,8 +43,8 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
     return image * params.gains.astype(image.dtype)
 
 
-@register
-def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: filters.Cfa = "RGGB") -> Mosaic:
+@register(reach=0, block=rows_of_cell)
+def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Multiply each photosite by the gain of its colour.
 
     `y = gains_c * x`, with c the colour of the photosite, not clipped.
@@ -83,7 +84,7 @@ class WhiteBalanceTemperature:
     source_tint: Leaf = param(D65_TINT, (-0.03, 0.03), "Duv", doc="its distance from the locus")
 
 
-@register
+@register(reach=0)
 def white_balance_temperature(params: WhiteBalanceTemperature, image: LinearRGB) -> LinearRGB:
     """Move the colour of white from one illuminant to another: a lower temperature is redder.
 
@@ -127,7 +128,7 @@ class ColorMatrix:
     )
 
 
-@register
+@register(reach=0)
 def color_matrix(params: ColorMatrix, image: CameraRGB) -> LinearRGB:
     """Turn the sensor's primaries into sRGB's.
 
@@ -154,7 +155,7 @@ class Saturation:
     amount: Leaf = param(1.0, (0.0, 4.0), "1", doc="0 is grey, 1 leaves the image as it is")
 
 
-@register
+@register(reach=0)
 def saturation(params: Saturation, image: RGB) -> RGB:
     """Scale the chroma; luma stays.
 
@@ -183,7 +184,7 @@ class HueRotation:
     angle: Leaf = param(0.0, (-180.0, 180.0), "deg", doc="from Cb towards Cr")
 
 
-@register
+@register(reach=0)
 def hue_rotation(params: HueRotation, image: RGB) -> RGB:
     """Turn every hue by the same angle; luma and the length of (Cb, Cr) stay.
 

@@ -4,6 +4,7 @@ import jax
 
 from jaxisp import cfa as filters
 from jaxisp.arrays.safe_math import safe_sqrt
+from jaxisp.cfa import Pattern
 from jaxisp.domains import Mosaic
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -20,9 +21,7 @@ class BalancedNoise:
 
 
 @register
-def balanced_noise(
-    params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa: filters.Cfa = "RGGB"
-) -> Mosaic:
+def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa: Pattern = "RGGB") -> Mosaic:
     """Add shot and read noise to a mosaic that is white-balanced already.
 
     `y = x + sqrt(g_c shot max(x, 0) + (g_c read)**2) n`, g_c the gain of the colour, 1 for green: the noise

@@ -17,8 +17,10 @@ from jaxisp.arrays.planes import per_plane, planes
 from jaxisp.arrays.safe_math import safe_divide, straight_through
 from jaxisp.arrays.stencils import gaussian_blur, pad
 from jaxisp.arrays.strips import in_strips_on_cpu
+from jaxisp.arrays.varying import alike
 from jaxisp.color import luma
 from jaxisp.domains import LinearRGB
+from jaxisp.options import Positive
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -33,8 +35,8 @@ class OpticalBlur:
     sigma: Leaf = param(0.5, (0.0, 4.0), "px", doc="standard deviation; 0 leaves the image as it is")
 
 
-@register
-def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: int = 12) -> LinearRGB:
+@register(reach=lambda o: o["radius"])
+def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: Positive = 12) -> LinearRGB:
     """Low-pass by the lens or the anti-alias filter.
 
     `y = x * G(sigma)`, a sampled and normalised Gaussian.
@@ -67,7 +69,7 @@ class Defocus:
 
 
 @register
-def defocus(params: Defocus, image: LinearRGB, *, radius: int = 8) -> LinearRGB:
+def defocus(params: Defocus, image: LinearRGB, *, radius: Positive = 8) -> LinearRGB:
     """Blur with a disc, the image of a point that is out of focus.
 
     `y = x * D`, with D the uniform disc, drawn bilinearly (its edge is about a pixel soft).
@@ -123,7 +125,7 @@ class MotionBlur:
 
 
 @register
-def motion_blur(params: MotionBlur, image: LinearRGB, *, radius: int = 12) -> LinearRGB:
+def motion_blur(params: MotionBlur, image: LinearRGB, *, radius: Positive = 12) -> LinearRGB:
     """Blur along the path that a point of light draws while the camera shakes.
 
     `y = min((x * (1 + boost * [Y > threshold])) * P, 1)`, where Y is luma and P the PSF: the path,
@@ -235,7 +237,8 @@ def _correlate(padded: jax.Array, taps: jax.Array) -> jax.Array:
         weights = lax.dynamic_slice(taps, (i, 0), (1, columns))[0]
         return total + reduce(jnp.add, (weights[j] * strip[:, j : j + w] for j in range(columns)))
 
-    return lax.fori_loop(0, rows, add_row, jnp.zeros((h, w), padded.dtype))
+    empty = alike(jnp.zeros((h, w), padded.dtype), padded, taps)
+    return lax.fori_loop(0, rows, add_row, empty)
 
 
 @_correlate.defjvp

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,10 @@ from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
 from jaxisp.arrays.shares import weighted
-from jaxisp.cfa import Cfa, is_xtrans
+from jaxisp.cfa import Pattern, is_xtrans
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
+from jaxisp.options import one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
@@ -28,7 +30,7 @@ from jaxisp.stages.demosaic import (
     demosaic_normalized_convolution,
     demosaic_vng,
 )
-from jaxisp.stages.jpeg import Jpeg, jpeg
+from jaxisp.stages.jpeg import Jpeg, Sampling, jpeg
 
 DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "bilinear": demosaic_bilinear,
@@ -54,6 +56,9 @@ def demosaickers(cfa: str) -> Mapping[str, Callable[..., jax.Array]]:
     return XTRANS_DEMOSAICKERS if is_xtrans(cfa) else DEMOSAICKERS
 
 
+Algorithm = Annotated[str, one_of(*DEMOSAICKERS, *XTRANS_DEMOSAICKERS)]
+
+
 @parameters
 class Demosaicking:
     """The share of each algorithm."""
@@ -63,7 +68,11 @@ class Demosaicking:
 
 @register
 def demosaicking(
-    params: Demosaicking, image: Mosaic, *, cfa: Cfa = "RGGB", algorithm: str = "malvar"
+    params: Demosaicking,
+    image: Mosaic,
+    *,
+    cfa: Pattern = "RGGB",
+    algorithm: Algorithm = "malvar",
 ) -> CameraRGB:
     """Demosaick by one of several algorithms, or a mix, the choice being a parameter.
 
@@ -107,6 +116,10 @@ class ChromaSubsampling:
     vertical: Leaf = param(1.0, (0.0, 1.0), "share", doc="0 is full resolution, 1 halves the rows")
     sampled: Leaf = param(0.0, (0.0, 1.0), "share", doc="0 stores averages of two, 1 the first of two")
     repeated: Leaf = param(0.0, (0.0, 1.0), "share", doc="0 restores by interpolation, 1 by repetition")
+
+
+HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
+"""By the chroma sampling of a file, `horizontal` and `vertical` of `ChromaSubsampling`; none is 4:4:4."""
 
 
 @register
@@ -158,7 +171,7 @@ class EarlierCompression:
 
 @register
 def earlier_compression(
-    params: EarlierCompression, image: EncodedRGB, *, subsampling: str = "4:4:4"
+    params: EarlierCompression, image: EncodedRGB, *, subsampling: Sampling = "4:4:4"
 ) -> EncodedRGB:
     """Compress the picture on an 8x8 grid that need not start at its corner.
 

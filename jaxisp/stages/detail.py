@@ -11,6 +11,7 @@ from jaxisp.arrays.safe_math import straight_through
 from jaxisp.arrays.stencils import gaussian_blur
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.domains import RGB
+from jaxisp.options import Positive
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -24,8 +25,8 @@ class UnsharpMask:
     threshold: Leaf = param(0.0, (0.0, 0.2), "level", doc="smaller detail is left alone")
 
 
-@register
-def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: int = 12) -> RGB:
+@register(reach=lambda o: o["radius"])
+def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: Positive = 12) -> RGB:
     """Add what a Gaussian blur takes away: a halo along edges, and amplified noise.
 
     `y = x + amount * d * [|d| > threshold]`, with `d = x - blur(x)`, per channel, not clipped.

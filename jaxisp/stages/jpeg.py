@@ -1,7 +1,7 @@
 """JPEG as libjpeg does it, decoded: by quality, by Photoshop's level, or by the tables of a file."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +12,21 @@ from jaxisp.arrays.safe_math import clip, clip_through, round_through, straight_
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg.codec import SAMPLING, Planes, compress, compress_full_or_half
 from jaxisp.jpeg.tables import ANNEX_K_CHROMA, ANNEX_K_LUMA, PHOTOSHOP_CHROMA, PHOTOSHOP_LUMA, quality_tables
+from jaxisp.options import between, one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
+BLOCK = 16
+"""Rows that are coded together, where chroma is halved."""
+ENCODER_REACH = 2 * BLOCK - 1
+"""To the far end of the next of these blocks, from which chroma is interpolated."""
 FIRST_FULL_LEVEL = 7
 """The first of Photoshop's levels that keeps chroma at full resolution."""
+
+
+Sampling = Annotated[str, one_of(*SAMPLING)]
+SamplingOrAuto = Annotated[str, one_of("auto", *SAMPLING)]
+Phase = Annotated[int, between(0, 15)]
 
 
 @parameters
@@ -26,9 +36,14 @@ class Jpeg:
     quality: Leaf = param(75.0, (1.0, 100.0), "quality", doc="libjpeg's 1 to 100, rounded")
 
 
-@register
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg(
-    params: Jpeg, image: EncodedRGB, *, subsampling: str = "4:2:0", row_phase: int = 0, column_phase: int = 0
+    params: Jpeg,
+    image: EncodedRGB,
+    *,
+    subsampling: Sampling = "4:2:0",
+    row_phase: Phase = 0,
+    column_phase: Phase = 0,
 ) -> EncodedRGB:
     """JPEG at a quality of libjpeg, bit for bit what libjpeg-turbo decodes.
 
@@ -77,8 +92,13 @@ class JpegPhotoshop:
     level: Leaf = param(8.0, (0.0, 12.0), "level", doc="Photoshop's 0 to 12, rounded")
 
 
-@register
-def jpeg_photoshop(params: JpegPhotoshop, image: EncodedRGB, *, subsampling: str = "auto") -> EncodedRGB:
+@register(reach=ENCODER_REACH, block=BLOCK)
+def jpeg_photoshop(
+    params: JpegPhotoshop,
+    image: EncodedRGB,
+    *,
+    subsampling: SamplingOrAuto = "auto",
+) -> EncodedRGB:
     """JPEG with the tables of one of Photoshop's thirteen levels, decoded as libjpeg does.
 
     `q = T[round(level)]`; coefficients become `q * round(c / q)`, half away from zero.
@@ -132,14 +152,14 @@ class JpegTables:
     )
 
 
-@register
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg_tables(
     params: JpegTables,
     image: EncodedRGB,
     *,
-    subsampling: str = "4:2:0",
-    row_phase: int = 0,
-    column_phase: int = 0,
+    subsampling: Sampling = "4:2:0",
+    row_phase: Phase = 0,
+    column_phase: Phase = 0,
 ) -> EncodedRGB:
     """JPEG with any quantisation tables, as those read from a camera's file; decoded as libjpeg does.
 

@@ -1,6 +1,6 @@
 """JPEG as the header of a file states it, where that is more than two 8-bit tables and a sampling."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +13,14 @@ from jaxisp.color import apply_matrix, srgb_to_linear
 from jaxisp.domains import EncodedRGB
 from jaxisp.jpeg.codec import SAMPLING, Planes, compress_each, rgb_to_ycbcr, ycbcr_to_rgb
 from jaxisp.jpeg.tables import quality_tables
+from jaxisp.options import one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.jpeg import BLOCK, ENCODER_REACH, Sampling
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 COMPONENTS = ("YCbCr", "RGB")
+Components = Annotated[str, one_of(*COMPONENTS)]
 
 
 def _nested(values: Any) -> Any:
@@ -41,13 +44,13 @@ class JpegFile:
     from_file: Leaf = param(_nested(np.eye(3)), (-4.0, 4.0), "1", doc="the way back")
 
 
-@register
+@register(reach=ENCODER_REACH, block=BLOCK)
 def jpeg_file(
     params: JpegFile,
     image: EncodedRGB,
     *,
-    subsampling: str = "4:2:0",
-    components: str = "YCbCr",
+    subsampling: Sampling = "4:2:0",
+    components: Components = "YCbCr",
     converts: bool = True,
 ) -> EncodedRGB:
     """JPEG with a table for each component, of Y'CbCr or of RGB, in the colour space of the file.
@@ -83,7 +86,7 @@ def jpeg_file(
     given = clip(image.astype(exact), 0, 1)
     lost = jnp.isnan(given).any(-1, keepdims=True)
     given = jnp.where(lost, 0, given)
-    curve = params.curve.astype(exact)
+    curve = jnp.asarray(params.curve, exact)
     codes = 255 * given
     if converts:
         light = _in_14_bits(apply_matrix(_in_14_bits(params.to_file), _in_14_bits(srgb_eotf(given))))

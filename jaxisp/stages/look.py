@@ -34,7 +34,7 @@ class SplineCurve:
     )
 
 
-@register
+@register(reach=0)
 def spline_curve(params: SplineCurve, image: RGB) -> RGB:
     """A smooth tone curve, the same for every channel, linear in its parameters.
 
@@ -123,7 +123,7 @@ class SelectiveColor:
     lightness: Leaf = param((0.0,) * SECTORS, (-1.5, 1.5), "1", doc="luma added per unit of chroma")
 
 
-@register
+@register(reach=0)
 def selective_color(params: SelectiveColor, image: EncodedRGB) -> EncodedRGB:
     """Turn, saturate and lighten some hues more than others, as a colour look-up table does.
 

@@ -48,7 +48,7 @@ class Gamma:
     gamma: Leaf = param(2.2, (0.6, 4.0), "1", log=True, doc="above 1 lifts the shadows")
 
 
-@register
+@register(reach=0)
 def gamma_compression(params: Gamma, image: Image) -> Image:
     """Compress by a power law.
 
@@ -69,7 +69,7 @@ def gamma_compression(params: Gamma, image: Image) -> Image:
     return pointwise(power, (image,), 1 / params.gamma)
 
 
-@register
+@register(reach=0)
 def gamma_expansion(params: Gamma, image: Image) -> Image:
     """Undo `gamma_compression` of the same gamma.
 

@@ -1,7 +1,7 @@
 """Change of size, and what a change of size and back leaves of a picture."""
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import safe_divide
 from jaxisp.arrays.shares import weighted
 from jaxisp.domains import RGB
+from jaxisp.options import one_of, positive
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 
@@ -37,8 +38,20 @@ _LARGEST = 4  # factor of `Resampling`
 METHODS = {"bilinear": "linear", "bicubic": "cubic", "lanczos3": "lanczos3"}
 
 
+Factor = Annotated[float, positive]
+Method = Annotated[str, one_of("nearest", "area", *METHODS)]
+Kernel = Annotated[str, one_of(*KERNELS)]
+KernelOrNone = Annotated[str, one_of("", *KERNELS)]
+
+
 @register
-def resize(image: RGB, *, factor: float = 0.5, method: str = "bicubic", antialias: bool = True) -> RGB:
+def resize(
+    image: RGB,
+    *,
+    factor: Factor = 0.5,
+    method: Method = "bicubic",
+    antialias: bool = True,
+) -> RGB:
     """Resize to `max(1, round(factor * size))` on each axis.
 
     `y[i] = sum_j w((x_i - j) / s) x[j] / sum_j w(.)`, `x_i = (i + 1/2) * size / new_size - 1/2`, and s
@@ -125,7 +138,12 @@ class _Way(NamedTuple):
 
 @register
 def resampling(
-    params: Resampling, image: RGB, *, method: str = "bilinear", back: str = "", antialias: bool = True
+    params: Resampling,
+    image: RGB,
+    *,
+    method: Kernel = "bilinear",
+    back: KernelOrNone = "",
+    antialias: bool = True,
 ) -> RGB:
     """Shrink by a factor and enlarge to the old size, as a digital zoom or a rescaled upload.
 

@@ -1,16 +1,21 @@
 """Rounding to output levels."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
 
 from jaxisp.arrays.rows import elementwise
 from jaxisp.arrays.safe_math import clip, straight_through
 from jaxisp.domains import EncodedRGB
+from jaxisp.options import between
 from jaxisp.pipeline import register
 
+Bits = Annotated[int, between(1, 16)]
 
-@register
-def rounding(image: EncodedRGB, *, bits: int = 8, legacy: bool = False) -> EncodedRGB:
+
+@register(reach=0)
+def rounding(image: EncodedRGB, *, bits: Bits = 8, legacy: bool = False) -> EncodedRGB:
     """Clip to [0, 1] and round to the levels of an integer file.
 
     `y = round(n * clip(x, 0, 1)) / n`, with `n = 2**bits - 1`; halves go to the even level.

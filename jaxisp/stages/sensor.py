@@ -1,5 +1,7 @@
 """The sensor and its converter: mosaic, black and white level, crosstalk, clipping, quantisation."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
 
@@ -8,14 +10,16 @@ from jaxisp.arrays.linear import linear_call, pointwise, scaled
 from jaxisp.arrays.planes import planes
 from jaxisp.arrays.safe_math import clip_through, round_through, straight_through
 from jaxisp.arrays.stencils import edge_counts, pad
+from jaxisp.cfa import Bayer, Pattern, check_bayer, rows_of_cell
 from jaxisp.domains import Image, LinearRGB, Mosaic
+from jaxisp.options import Share, below
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
 
 
-@register
-def mosaic(image: LinearRGB, *, cfa: filters.Cfa = "RGGB") -> Mosaic:
+@register(reach=0, block=rows_of_cell)
+def mosaic(image: LinearRGB, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Keep one colour at each photosite.
 
     `y = x_c`, with c the colour of the photosite in the pattern.
@@ -44,7 +48,7 @@ class BlackLevel:
     offset: Leaf = param(0.0, (-0.25, 0.25), "level", doc="what is added to every value")
 
 
-@register
+@register(reach=0)
 def black_level(params: BlackLevel, image: Image) -> Image:
     """Add a constant: the pedestal of a converter, or what is left of a wrong black level.
 
@@ -77,7 +81,7 @@ class Linearization:
     white: Leaf = param(1.0, (0.3, 2.0), "full scale", log=True, doc="level of white")
 
 
-@register
+@register(reach=0)
 def linearization(params: Linearization, image: Mosaic) -> Mosaic:
     """Subtract the black level of each place of the 2x2 cell and put white at 1.
 
@@ -113,7 +117,7 @@ class AdcQuantization:
     bits: Leaf = param(14.0, (2.0, 16.0), "bit", doc="rounded to a whole number")
 
 
-@register
+@register(reach=0)
 def adc_quantization(params: AdcQuantization, image: Image, *, legacy: bool = False) -> Image:
     """Round to the levels of an analogue-to-digital converter.
 
@@ -186,8 +190,8 @@ class Clip:
     white: Leaf = param(1.0, (0.3, 2.0), "level", log=True, doc="larger values become this")
 
 
-@register
-def clip(params: Clip, image: Image, *, low: float = 0.0, leak: float = 0.0) -> Image:
+@register(reach=0)
+def clip(params: Clip, image: Image, *, low: Annotated[float, below(0.3)] = 0.0, leak: Share = 0.0) -> Image:
     """Clip to the range that the sensor or the file can hold.
 
     `y = min(max(x, low), white)`.
@@ -224,8 +228,8 @@ class GreenImbalance:
     )
 
 
-@register
-def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: filters.Bayer = "RGGB") -> Mosaic:
+@register(reach=0)
+def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: Bayer = "RGGB") -> Mosaic:
     """Give the two greens different gains.
 
     `y = x (1 + difference / 2)` at greens in red's rows, `x (1 - difference / 2)` at those in blue's rows;
@@ -246,7 +250,7 @@ def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: filters.Bayer
 
     Source: DNG Specification 1.6 (BayerGreenSplit).
     """
-    filters.check_bayer(cfa)
+    check_bayer(cfa)
     _, green, _ = filters.masks((image.shape[0], image.shape[1]), cfa)
     in_red_rows = jax.lax.broadcasted_iota(jnp.int32, image.shape, 0) % 2 == filters.site(cfa, "R")[0]
     half = (0.5 * params.difference).astype(image.dtype)

@@ -13,7 +13,7 @@ from jaxisp.domains import XYZ, EncodedRGB, LinearRGB, ProPhotoRGB, YCbCr
 from jaxisp.pipeline import register
 
 
-@register
+@register(reach=0)
 def linear_srgb_to_xyz(image: LinearRGB) -> XYZ:
     """Linear sRGB to CIE 1931 XYZ under D65.
 
@@ -32,7 +32,7 @@ def linear_srgb_to_xyz(image: LinearRGB) -> XYZ:
     return apply_matrix(SRGB_TO_XYZ, image)
 
 
-@register
+@register(reach=0)
 def xyz_to_linear_srgb(image: XYZ) -> LinearRGB:
     """CIE 1931 XYZ under D65 to linear sRGB.
 
@@ -51,7 +51,7 @@ def xyz_to_linear_srgb(image: XYZ) -> LinearRGB:
     return apply_matrix(XYZ_TO_SRGB, image)
 
 
-@register
+@register(reach=0)
 def prophoto_to_linear_srgb(image: ProPhotoRGB) -> LinearRGB:
     """Linear ProPhoto (ROMM) RGB under D50 to linear sRGB under D65, Bradford-adapted.
 
@@ -70,7 +70,7 @@ def prophoto_to_linear_srgb(image: ProPhotoRGB) -> LinearRGB:
     return apply_matrix(PROPHOTO_TO_SRGB, image)
 
 
-@register
+@register(reach=0)
 def linear_srgb_to_prophoto(image: LinearRGB) -> ProPhotoRGB:
     """Linear sRGB under D65 to linear ProPhoto (ROMM) RGB under D50, Bradford-adapted.
 
@@ -89,7 +89,7 @@ def linear_srgb_to_prophoto(image: LinearRGB) -> ProPhotoRGB:
     return apply_matrix(SRGB_TO_PROPHOTO, image)
 
 
-@register
+@register(reach=0)
 def rgb_to_ycbcr(image: EncodedRGB) -> YCbCr:
     """Encoded RGB to luma and two chroma differences, real-valued.
 
@@ -108,7 +108,7 @@ def rgb_to_ycbcr(image: EncodedRGB) -> YCbCr:
     return interleaved(rgb_to_ycbcr_planes(*planes(image)))
 
 
-@register
+@register(reach=0)
 def ycbcr_to_rgb(image: YCbCr) -> EncodedRGB:
     """Luma and two chroma differences to encoded RGB, real-valued.
 

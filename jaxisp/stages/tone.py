@@ -5,6 +5,7 @@ added, which leaves Cb and Cr as they were. Outside [0, 1] curves go on so that 
 """
 
 from collections.abc import Callable
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from jaxisp.arrays.planes import planes
 from jaxisp.arrays.safe_math import clip
 from jaxisp.color import luma
 from jaxisp.domains import RGB
+from jaxisp.options import one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.power import power
@@ -28,6 +30,9 @@ def _apply(curve: Curve, image: jax.Array, on: str, *scalars: jax.Array) -> jax.
         y = luma(*planes(image))
         return image + (pointwise(curve, (y,), *scalars) - y)[..., None]
     raise ValueError(f'on={on!r} is neither "luma" nor "channels"')
+
+
+Which = Annotated[str, one_of("luma", "channels")]
 
 
 @parameters
@@ -48,8 +53,8 @@ def _s_curve(x: jax.Array, strength: jax.Array, midpoint: jax.Array) -> jax.Arra
     return y + (x - inside) / slope
 
 
-@register
-def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
+@register(reach=0)
+def s_curve(params: SCurve, image: RGB, *, on: Which = "channels") -> RGB:
     """Raise the contrast about a midpoint, and lower it near black and white.
 
     With m the midpoint and s = exp(strength), t = x / m below m and (1 - x) / (1 - m) above:
@@ -74,8 +79,8 @@ def s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
     return _apply(_s_curve, image, on, params.strength, params.midpoint)
 
 
-@register
-def inverse_s_curve(params: SCurve, image: RGB, *, on: str = "channels") -> RGB:
+@register(reach=0)
+def inverse_s_curve(params: SCurve, image: RGB, *, on: Which = "channels") -> RGB:
     """Undo `s_curve` of the same parameters.
 
     `s_curve` with `-strength`.
@@ -107,8 +112,8 @@ class ToneCurve:
     )
 
 
-@register
-def tone_curve(params: ToneCurve, image: RGB, *, on: str = "luma") -> RGB:
+@register(reach=0)
+def tone_curve(params: ToneCurve, image: RGB, *, on: Which = "luma") -> RGB:
     """A cubic contrast curve.
 
     `y = A x**3 + B x**2 + C x` with a = 0.2 amount, A = -64 a / 3, B = 32 a, C = 1 - 32 a / 3: through
@@ -149,8 +154,8 @@ class ZoneCurve:
     )
 
 
-@register
-def zone_curve(params: ZoneCurve, image: RGB, *, on: str = "luma") -> RGB:
+@register(reach=0)
+def zone_curve(params: ZoneCurve, image: RGB, *, on: Which = "luma") -> RGB:
     """Lift or lower N equally spaced zones: a piecewise linear curve through N control points.
 
     Control point i = 1..N is at `x = i / (N + 1)` and `y = (i + offset_i) / (N + 1)`; 0 and 1 stay, and
@@ -188,8 +193,8 @@ class Gray18Gamma:
     gamma: Leaf = param(1.0, (0.4, 1.6), "1", log=True, doc="log-log slope at 18 %; below 1 is flatter")
 
 
-@register
-def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: str = "channels") -> RGB:
+@register(reach=0)
+def gray18_gamma(params: Gray18Gamma, image: RGB, *, on: Which = "channels") -> RGB:
     """A power law that leaves 18 % grey where it is, as contrast in stops about middle grey.
 
     `y = 0.18 (x / 0.18)**gamma` from 1.8e-4 up; below, a parabola that joins with the same slope and
@@ -221,8 +226,8 @@ class HighlightRolloff:
     white: Leaf = param(2.0, (1.0, 16.0), "level", log=True, doc="the level that becomes 1; 1 is off")
 
 
-@register
-def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: str = "channels") -> RGB:
+@register(reach=0)
+def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: Which = "channels") -> RGB:
     """Bring highlights above 1 back by a smooth shoulder instead of a clip.
 
     With t = (x - start) / (1 - start) and w the same of white:

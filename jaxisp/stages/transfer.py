@@ -32,7 +32,7 @@ def _odd(curve: Callable[[jax.Array], jax.Array], x: jax.Array) -> jax.Array:
 _SRGB_KNEE = 0.0031308
 
 
-@register
+@register(reach=0)
 def srgb_oetf(image: LinearRGB, *, legacy: bool = False) -> EncodedRGB:
     """Linear sRGB to display-encoded sRGB.
 
@@ -58,7 +58,7 @@ def srgb_oetf(image: LinearRGB, *, legacy: bool = False) -> EncodedRGB:
     return elementwise(curve, image) if legacy else _odd(curve, image)
 
 
-@register
+@register(reach=0)
 def srgb_eotf(image: EncodedRGB, *, legacy: bool = False) -> LinearRGB:
     """Display-encoded sRGB to linear sRGB: the inverse of `srgb_oetf`.
 
@@ -85,7 +85,7 @@ def srgb_eotf(image: EncodedRGB, *, legacy: bool = False) -> LinearRGB:
     return elementwise(curve, image) if legacy else _odd(curve, image)
 
 
-@register
+@register(reach=0)
 def rec709_oetf(image: LinearRGB) -> EncodedRGB:
     """Linear light to Rec. 709 video signal.
 
@@ -112,7 +112,7 @@ def rec709_oetf(image: LinearRGB) -> EncodedRGB:
 _REC709_KNEE = 1.099 * 0.018**0.45 - 0.099
 
 
-@register
+@register(reach=0)
 def rec709_eotf(image: EncodedRGB) -> LinearRGB:
     """Rec. 709 video signal back to the linear light of the scene: the inverse of `rec709_oetf`.
 
@@ -138,7 +138,7 @@ def rec709_eotf(image: EncodedRGB) -> LinearRGB:
     return _odd(curve, image)
 
 
-@register
+@register(reach=0)
 def prophoto_oetf(image: ProPhotoRGB) -> EncodedProPhotoRGB:
     """Linear ProPhoto RGB to ROMM-encoded ProPhoto RGB.
 
@@ -161,7 +161,7 @@ def prophoto_oetf(image: ProPhotoRGB) -> EncodedProPhotoRGB:
     return _odd(curve, image)
 
 
-@register
+@register(reach=0)
 def prophoto_eotf(image: EncodedProPhotoRGB) -> ProPhotoRGB:
     """ROMM-encoded ProPhoto RGB to linear ProPhoto RGB: the inverse of `prophoto_oetf`.
 

@@ -74,9 +74,11 @@ def test_a_broken_file_does_not_take_a_name(tmp_path):
     assert set(reasons) == {"a.jpg", "b.tiff"} and "b.png has the same name" in reasons["b.tiff"]
 
 
-@pytest.mark.parametrize("stages", ['{stage="rounding", options={bits=0}}', '{stage="srgb_eotf"}'])
-def test_a_recipe_that_cannot_run_is_refused_before_any_work(photos, tmp_path, stages):
-    recipe = Recipe.from_toml(f'name = "mine"\nstages = [{stages}]')
+@pytest.mark.parametrize(
+    ("name", "params"), [("motion_blur", "[params.motion_blur]\nlengths = [1.0]"), ("srgb_eotf", "")]
+)
+def test_a_recipe_that_cannot_run_is_refused_before_any_work(photos, tmp_path, name, params):
+    recipe = Recipe.from_toml(f'name = "mine"\nstages = [{{stage = "{name}"}}]\n{params}')
     with pytest.raises(InputError, match="recipe 'mine'"):
         degrade_files([photos], tmp_path / "out", recipe)
     assert not (tmp_path / "out").exists()

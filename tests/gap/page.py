@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxisp.gap.features.spectra import spreads
 from jaxisp.gap.report.page import html
-from jaxisp.gap.report.record import FARTHER, TAKEN_UP
+from jaxisp.gap.report.record import ABSORBED, FARTHER
 
 CAUSE = {
     "effect": "vignetting",
@@ -60,7 +60,7 @@ REPORT = {
             "reason": FARTHER,
         },
         {"effect": "sharpening", "closed": 0.1, "status": "rejected", "predicted": 0.1},
-        {"effect": "white_balance", "closed": -0.02, "status": "absorbed", "reason": TAKEN_UP},
+        {"effect": "white_balance", "closed": -0.02, "status": "absorbed", "reason": ABSORBED},
     ],
     "where": [
         {"axis": "radius", "share": 0.7, "p_value": 0.005, "bins": [0.1, 0.2], "profile": [0.0, -3.0]},

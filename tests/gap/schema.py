@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from jaxisp.gap import EFFECTS
-from jaxisp.gap.case import LEAST_UNIT, NULL_DROP
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.simulator.effects import AXES, BOTH, SITES
 
 STATUSES = {"accepted", "rejected", "absorbed", "not_identifiable"}
@@ -28,8 +28,8 @@ def keeps_the_schema(report):
     assert 0 <= left["share"] <= 1 and set(left["axes"]) <= set(AXES) and left["description"]
     if report["verdict"] != "none":
         best, explained = gap["reducible"]["best"], gap["reducible"]["explained"]
-        unit = max(gap["floor"], LEAST_UNIT[report["kind"]])
-        little = gap["before"] - best <= NULL_DROP[report["kind"]] * unit
+        criteria = CRITERIA[report["kind"]]
+        little = gap["before"] - best <= criteria.null_drop * max(gap["floor"], criteria.least_unit)
         assert best <= gap["after"] and (explained is None if little else explained <= 1)
 
 

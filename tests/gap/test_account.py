@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.search.account import Shown, accounted, kept_axes
 
 CLEAN, RAW = "clean+noisy", "raw+jpeg"
@@ -37,15 +38,15 @@ def test_causes_close_most_of_the_gap_or_leave_little(kind, gap, left, said):
         if kind == RAW
         else (statistics(row=9.0), statistics(row=1.0))
     )
-    assert accounted(kind, ["row_noise"], *states, Gap(gap, 1.0), left) == said
+    assert accounted(CRITERIA[kind], ["row_noise"], *states, Gap(gap, 1.0), left) == said
 
 
 @pytest.mark.parametrize(("distance", "said"), [(41.0, False), (39.0, True)])
 def test_what_brings_pixels_nearer_may_leave_more_of_the_statistics(distance, said):
     """A filter of another form than the camera's; strangers bring pixels a fifth nearer at most."""
     states = statistics(50.0, 40.0, edge=9.0), statistics(distance, 40.0, edge=1.0)
-    assert accounted(CLEAN, ["luma_denoising"], *states, Gap(31.0, 1.0), 9.0) == said
-    assert not accounted(CLEAN, ["luma_denoising"], *states, Gap(31.0, 1.0), 12.0)
+    assert accounted(CRITERIA[CLEAN], ["luma_denoising"], *states, Gap(31.0, 1.0), 9.0) == said
+    assert not accounted(CRITERIA[CLEAN], ["luma_denoising"], *states, Gap(31.0, 1.0), 12.0)
 
 
 BEFORE = pixels(12.0, frequency=0.5, orientation=0.25, lag=0.2, hue=0.05, radius=0.2)
@@ -63,8 +64,10 @@ BEFORE = pixels(12.0, frequency=0.5, orientation=0.25, lag=0.2, hue=0.05, radius
     ],
 )
 def test_an_axis_that_the_gap_lay_on_is_left_by_a_stranger(after, floor, kept):
-    assert kept_axes(RAW, ["vignetting"], BEFORE, after, Gap(floor + 10, floor)) == kept
-    assert accounted(RAW, ["vignetting"], BEFORE, after, Gap(floor + 10, floor), floor) == (not kept)
+    assert kept_axes(CRITERIA[RAW], ["vignetting"], BEFORE, after, Gap(floor + 10, floor)) == kept
+    assert accounted(CRITERIA[RAW], ["vignetting"], BEFORE, after, Gap(floor + 10, floor), floor) == (
+        not kept
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,7 +81,7 @@ def test_an_axis_that_the_gap_lay_on_is_left_by_a_stranger(after, floor, kept):
 )
 def test_pictures_that_were_off_by_more_than_noise_come_nearer(distance, left, noise, said):
     before, after = statistics(distance, 10.0, edge=30.0), statistics(left, noise, edge=2.0)
-    assert accounted(CLEAN, [], before, after, Gap(31.0, 1.0), 2.4) == said
+    assert accounted(CRITERIA[CLEAN], [], before, after, Gap(31.0, 1.0), 2.4) == said
 
 
 def test_of_statistics_only_place_and_direction_must_go():
@@ -86,10 +89,10 @@ def test_of_statistics_only_place_and_direction_must_go():
     before = statistics(frequency=60.0, row=30.0, edge=10.0)
     after = statistics(frequency=5.0, row=20.0, edge=9.0)
     gap = Gap(100.0, 1.0)
-    assert kept_axes(CLEAN, ["film_grain"], before, after, gap) == ["row"]
-    assert kept_axes(CLEAN, ["row_noise"], before, after, gap) == []
-    assert not accounted(CLEAN, ["film_grain"], before, after, gap, 5.0)
+    assert kept_axes(CRITERIA[CLEAN], ["film_grain"], before, after, gap) == ["row"]
+    assert kept_axes(CRITERIA[CLEAN], ["row_noise"], before, after, gap) == []
+    assert not accounted(CRITERIA[CLEAN], ["film_grain"], before, after, gap, 5.0)
     nearly = statistics(frequency=5.0, row=14.0, edge=9.0)  # less than half of it
-    assert accounted(CLEAN, ["film_grain"], before, nearly, gap, 5.0)
+    assert accounted(CRITERIA[CLEAN], ["film_grain"], before, nearly, gap, 5.0)
     none = statistics(row=1.0)._replace(error=1.01)  # all of what is left, which is nothing
-    assert kept_axes(CLEAN, ["film_grain"], before, none, gap) == []
+    assert kept_axes(CRITERIA[CLEAN], ["film_grain"], before, none, gap) == []

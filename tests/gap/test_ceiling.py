@@ -8,10 +8,13 @@ import pytest
 from scipy.ndimage import laplace
 from scipy.stats import norm
 
-from jaxisp.gap.case import Gap, Split
+from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.downstream import ceiling
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.objective.tolerances import left_by_shift
+from jaxisp.gap.features.tolerances import left_by_shift
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
 
 
 class Still:
@@ -32,7 +35,8 @@ def off_by(error, n=4, side=96):
     light = rng.uniform(0.3, 0.6, (n, side, side)).astype(np.float32)
     pictures = np.repeat((light + error(light, rng) / 255)[..., None], 3, -1).astype(np.float32)
     names = tuple(f"scene{i}" for i in range(n))
-    return Problem(Still(), Pairs(names, jnp.asarray(light), pictures, np.ones(light.shape, bool)))
+    pairs = Pairs(names, jnp.asarray(light), pictures, np.ones(light.shape, bool))
+    return PixelObjective.of(pairs, Split((0, 2), (1, 3)))
 
 
 def test_a_network_predicts_what_the_picture_tells_and_no_noise():
@@ -40,15 +44,16 @@ def test_a_network_predicts_what_the_picture_tells_and_no_noise():
         told = 20 * laplace(light, axes=(1, 2)) + 3 * (np.indices(light.shape)[1] % 2)
         return told + 1.5 * rng.standard_normal(light.shape)
 
-    problem, split = off_by(error), Split((0, 2), (1, 3))
-    before = float(problem.take(split.held_out).units(problem.z).mean())
-    left = ceiling._network_leaves(problem, split)
+    objective = off_by(error)
+    point = objective.at(Still(), np.zeros(0))
+    before = float(objective.units(point)[[1, 3]].mean())
+    left = ceiling._network_leaves(objective, point)
     noise = 1.5**2
     assert before > 20 * noise
     assert 0.97 * noise < left < noise + 0.05 * (before - noise)
 
 
-CASE = types.SimpleNamespace(problem=None, split=None, offered=())
+CASE = types.SimpleNamespace(pixels=None, statistics=None, criteria=CRITERIA["raw+jpeg"])
 
 
 @pytest.mark.parametrize(("after", "share", "how"), [
@@ -56,14 +61,14 @@ CASE = types.SimpleNamespace(problem=None, split=None, offered=())
     (10.0, 0.0, "an effect that was refused"),
 ])  # fmt: skip
 def test_what_is_named_is_a_share_of_what_flexible_models_close(after, share, how):
-    found = ceiling.reducible(CASE, Gap(10.0, 1.0), after, [3.0, 1.0], 0.1)
+    found = ceiling.reducible(CASE, Gap(10.0, 1.0), None, after, [3.0, 1.0])
     assert found == {"best": 1.0, "how": how, "explained": pytest.approx(share)}
 
 
 def test_where_nothing_can_be_lowered_no_share_is_said():
-    found = ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [9.95], 0.1)
+    found = ceiling.reducible(CASE, Gap(10.0, 1.0), None, 10.0, [9.95])
     assert found["best"] == 9.95 and found["explained"] is None
-    assert ceiling.reducible(CASE, Gap(10.0, 1.0), 10.0, [], 0.1)["best"] == 10.0
+    assert ceiling.reducible(CASE, Gap(10.0, 1.0), None, 10.0, [])["best"] == 10.0
 
 
 @pytest.mark.parametrize("alike", [3.0, 0.0])

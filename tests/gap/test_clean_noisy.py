@@ -17,12 +17,11 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base import cfa_phase, clean_noisy
 from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.palette import TYPICAL
-from jaxisp.gap.base.plain_clean import MIXING, Camera, noise_freedom, primaries
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
-from jaxisp.gap.pairs.align_clean import clean_pairs, on_each_other
-from jaxisp.gap.pairs.scenes import split_of
-from jaxisp.gap.simulator.model import build, plain_freedom
+from jaxisp.gap.base.plain_clean import Camera, noise_freedom, primaries
+from jaxisp.gap.pairs.align_clean import align_clean, clean_pairs
+from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.simulator.effects import candidates
+from jaxisp.gap.simulator.model import MIXING, build, plain_freedom
 from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
@@ -166,7 +165,7 @@ def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
     picture = np.sqrt(scene)[1:-1, 1:-1]
     whole, moved = clean_pair("a", scene, picture), np.roll(picture, (2, -3), (0, 1))
     inner = clean_pair("b", scene[1:-1, 1:-1], moved)
-    (cut, laid), failed, rows = on_each_other([whole, inner])
+    (cut, laid), failed, rows = align_clean([whole, inner])
     assert failed == []
     np.testing.assert_array_equal(cut.clean, whole.clean[1:-1, 1:-1])
     there = np.roll(whole.clean[1:-1, 1:-1], (2, -3), (0, 1))
@@ -215,7 +214,7 @@ def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_
     scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(4)]
     noisy = [np.sqrt(scene) for scene in scenes]
     cleans = [scenes[0], scenes[1][::-1, ::-1], np.rot90(scenes[2]), scenes[3][:60]]
-    kept, failed, rows = on_each_other(
+    kept, failed, rows = align_clean(
         [clean_pair(str(k), c, n) for k, (c, n) in enumerate(zip(cleans, noisy))]
     )
     assert [row["done"] for row in rows] == ["nothing", "turned", "turned"]
@@ -227,22 +226,22 @@ def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_
 
 def test_a_pair_of_two_scenes_is_not_certain():
     scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(2)]
-    rows = on_each_other([clean_pair("a", scenes[0], np.sqrt(scenes[1]))]).rows
+    rows = align_clean([clean_pair("a", scenes[0], np.sqrt(scenes[1]))]).rows
     assert [row["certain"] for row in rows] == [False]
     names, errors = ("a", "b", "c", "d", "e", "f"), np.array([50.0, 1.1, 1.0, 0.9, 5.0, 20.0])
-    mean = SimpleNamespace(z=0, errors=lambda z: errors, pairs=SimpleNamespace(names=names))
-    strays = functools.partial(clean_noisy._strays, mean, Split((0, 2, 4), (1, 3, 5)))
-    assert strays(()) == (), (
+    objective = SimpleNamespace(names=names, split=Split((0, 2, 4), (1, 3, 5)))
+    mean = SimpleNamespace(point=SimpleNamespace(errors=errors), objective=objective)
+    assert clean_noisy._outliers(mean, ()) == (), (
         "the fitted ones are believed, and no other is twelve times as far off as they are"
     )
-    assert strays(("a", "c")) == ("a",)
+    assert clean_noisy._outliers(mean, ("a", "c")) == ("a",)
 
 
 def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
     """Blur hides what tells them; an even softer demosaicker would stand in for it."""
     write(tmp_path, "birch", {"optical_blur": 4}, "clean+noisy", size=SIZE, count=COUNT)
     pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
-    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    camera = fit_mean(None, pairs, Split((0, 2), (1, 3)), None).camera
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
 
 
@@ -251,7 +250,7 @@ def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
     """Gains and order are seen in false colours at edges, which it hides."""
     write(tmp_path, "birch", {effect: 4}, "clean+noisy", size=SIZE, count=COUNT)
     pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
-    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    camera = fit_mean(None, pairs, Split((0, 2), (1, 3)), None).camera
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
     np.testing.assert_allclose(camera.gains, (2.2, 1.4), atol=0.3)
 
@@ -261,7 +260,7 @@ def test_demosaicking_of_square_roots_is_found(tmp_path):
     """On linear values nothing has its errors at edges, and gains that balance late would make up for it."""
     write(tmp_path, "maple", {"nothing": 1}, "clean+noisy", size=SIZE, count=COUNT)
     pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
-    camera, _ = fit_mean(None, pairs, (0, 2), None)
+    camera = fit_mean(None, pairs, Split((0, 2), (1, 3)), None).camera
     assert (camera.cfa, camera.algorithm, camera.late, camera.gamma) == ("GRBG", "vng", True, 2.0)
 
 
@@ -318,7 +317,7 @@ def test_a_pair_that_the_fitted_ones_say_nothing_of_is_left_out(tmp_path, which,
 
 @pytest.mark.slow
 def test_the_halves_of_one_pair_are_never_left_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(clean_noisy, "_STRAY", 0.0)  # all that is held out is far off
+    monkeypatch.setattr(clean_noisy, "_OUTLIER", 0.0)  # all that is held out is far off
     write(tmp_path, "alder", {"nothing": 1}, "clean+noisy", size=SIZE, count=1)
     report = diagnose(tmp_path, exclude=sorted(set(EFFECTS) - {"vignetting"})).report
     assert report["pairs"]["failed"] == [] and len(report["pairs"]["held_out"]) == 1

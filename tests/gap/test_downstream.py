@@ -9,10 +9,13 @@ from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import Downstream
-from jaxisp.gap.case import Case, Split
+from jaxisp.gap.case import Case
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.diagnose import _trained
 from jaxisp.gap.downstream import denoisers
 from jaxisp.gap.downstream.denoisers import measure_downstream
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.search.account import Shown
 from jaxisp.gap.search.verdict import Found, Refused
@@ -28,16 +31,23 @@ def case(names=("a", "b", "c", "d")):
     clean = np.repeat(luma, 3, -1)
     noisy = np.clip(clean + NOISE * rng.standard_normal(clean.shape), 0, 1).astype(np.float32)
     pairs = SimpleNamespace(names=names, pictures=noisy, light=clean)
-    problem = SimpleNamespace(pairs=pairs, keys=lambda k: k)
-    return Case("clean+noisy", problem, Split((0, 2), (1, 3)), np.ones(4), {}, [], reference=clean)
+
+    def rendered(model, z, replicate):
+        return model(clean, replicate)
+
+    return Case(
+        kind="clean+noisy", criteria=CRITERIA["clean+noisy"], pairs=pairs, floors=np.ones(4), absorbed={},
+        evidence=SimpleNamespace(split=Split((0, 2), (1, 3))), point=None, offered=[], reference=clean,
+        statistics=SimpleNamespace(measure=SimpleNamespace(rendered=rendered)),
+    )  # fmt: skip
 
 
 def simulator(std):
-    def render(z, light, keys):
-        noise = np.random.default_rng(keys).standard_normal(light.shape)
+    def render(light, replicate):
+        noise = np.random.default_rng(replicate).standard_normal(light.shape)
         return np.clip(light + std * noise, 0, 1).astype(np.float32)
 
-    return SimpleNamespace(render=render), np.zeros(0)
+    return Point(render, np.zeros(0), np.zeros(4))
 
 
 def nothing(*_):
@@ -103,14 +113,13 @@ def test_it_needs_clean_pictures(tmp_path, capsys):
 @pytest.mark.parametrize("accepted", [True, False])
 def test_denoisers_are_trained_with_what_comes_nearest_where_nothing_is_accepted(monkeypatch, accepted):
     cause = SimpleNamespace(effect="prnu"), []
-    near = None if accepted else Refused([cause], Shown(0.0, []), "near", np.ones(1))
-    found = Found([cause] if accepted else [], {}, {}, Shown(0.0, []), Shown(0.0, []), near)
+    near = None if accepted else Refused([cause], Shown(0.0, []), "near")
+    found = Found([cause] if accepted else [], "here", {}, {}, Shown(0.0, []), Shown(0.0, []), near)
     monkeypatch.setattr(
         "jaxisp.gap.downstream.denoisers.measure_downstream", lambda case, models, *rest: models
     )
-    case = SimpleNamespace(problem=SimpleNamespace(model="here", z=np.zeros(1)))
-    arms = _trained(case, ("base", np.zeros(1)), found, Downstream(), nothing)
-    assert (arms["without"][0], arms["with"][0]) == ("base", "here" if accepted else "near")
+    arms = _trained(SimpleNamespace(point="base"), found, Downstream(), nothing)
+    assert (arms["without"], arms["with"]) == ("base", "here" if accepted else "near")
     assert arms["effects"] == ["prnu"]
-    none = Found([], {}, {}, Shown(0.0, []), Shown(0.0, []))
-    assert "skipped" in _trained(case, ("base", np.zeros(1)), none, Downstream(), nothing)
+    none = Found([], "base", {}, {}, Shown(0.0, []), Shown(0.0, []))
+    assert "skipped" in _trained(SimpleNamespace(point="base"), none, Downstream(), nothing)

@@ -9,13 +9,15 @@ import pytest
 
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, Effect, Move, parallel, register_effect
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.search.refit import Whole, refit
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.refit import refit
 from jaxisp.gap.search.screening import screen
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, check_effect
+from jaxisp.gap.search.trial import Bars, Whole
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates, check_effect
 from jaxisp.gap.simulator.model import build, plain_camera, plain_freedom
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.stages.balance import WhiteBalance
@@ -82,7 +84,7 @@ _WAYS = {
 
 
 def test_every_move_shows(model):
-    """Of what does not show here, and of film grain, see `test_noisy_effects`."""
+    """Of what does not show here, and of film grain, see `test_effects_in_noise`."""
     light = mosaics()
     before = model.render(np.zeros(len(model.coordinates)), light)
     for i, (coordinate, step) in enumerate(zip(model.coordinates, model.steps)):
@@ -168,12 +170,11 @@ def test_a_warp_is_found_to_either_side(model, name, sign):
     z = np.zeros(len(model.coordinates))
     z[first] = 0.7 * sign * model.steps[first]
     names, mask = ("a", "b"), np.ones(light.shape, bool)
-    problem = Problem(model, Pairs(names, light, model.render(z, light), mask))
-    problem.compute([first])
-    gram, slope = problem.normal([first])
+    objective = PixelObjective.of(Pairs(names, light, model.render(z, light), mask))
+    at = objective.compute(objective.at(model, 0 * z), [first])
+    gram, slope = objective.normal(at, [first])
     assert slope.sum() / gram.sum() == pytest.approx(z[first], rel=0.3)
-    fit(problem, [first], [0, 1], steps=4)
-    assert problem.z[first] == pytest.approx(z[first], rel=0.05)
+    assert fit(objective, at, [first], steps=4).point.z[first] == pytest.approx(z[first], rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
@@ -188,12 +189,12 @@ def test_a_warp_of_several_pixels_is_found(name):
     first, z = model.indices([name])[0], np.zeros(len(model.coordinates))
     z[first] = -0.9 * model.ranges[1, first]
     pictures = model.render(z, light)
-    problem = Problem(model, Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool)))
-    split = Split((0, 2), (1, 3))
-    promised = screen(problem, [name, "sharpening"], split)
+    pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
+    objective = PixelObjective.of(pairs, Split((0, 2), (1, 3)))
+    promised, at = screen(objective, objective.at(model, 0 * z), [name, "sharpening"])
     assert promised[name] > promised["sharpening"]
-    parts = problem.units(problem.z)[list(split.held_out)]
-    found = refit(problem, name, split, Whole(float(parts.mean()), parts), 0.0)
+    parts = objective.units(at)[[1, 3]]
+    found = refit(objective, at, name, Whole(float(parts.mean()), parts), Bars(0.0), CRITERIA[RAW_JPEG])
     assert found.z[first] == pytest.approx(z[first], rel=0.05) and found.closed > 0.9
 
 
@@ -208,15 +209,18 @@ def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):
     for i in model.indices(["vignetting", "sharpening"]):
         z[i] = 2 * model.steps[i]
     mask = np.ones(light.shape, bool)
-    problem = Problem(model, Pairs(("a", "b", "c", "d"), light, model.render(z, light), mask))
-    split = Split((0, 2), (1, 3))
-    parts = problem.units(problem.z)[list(split.held_out)]
-    whole = Whole(float(parts.mean()), parts)
-    screen(problem, names, split)  # whose columns the fits start with
+    pairs = Pairs(("a", "b", "c", "d"), light, model.render(z, light), mask)
+    objective = PixelObjective.of(pairs, Split((0, 2), (1, 3)))
+    _, at = screen(objective, objective.at(model, 0 * z), names)  # whose columns the fits start with
+    parts = objective.units(at)[[1, 3]]
+    whole, criteria = Whole(float(parts.mean()), parts), CRITERIA[RAW_JPEG]
+
+    def one(name: str) -> np.ndarray:
+        return refit(objective, at, name, whole, Bars(0.0), criteria, steps=2).z
 
     def found(count: int) -> list[np.ndarray]:
         monkeypatch.setattr(parallel.cores, "available", lambda: count)
         monkeypatch.setattr(parallel, "MOST", count)
-        return [t.z for t in parallel.each(lambda name: refit(problem, name, split, whole, 0.0, 2), names)]
+        return parallel.parallel_map(one, names)
 
     np.testing.assert_array_equal(found(3), found(1))

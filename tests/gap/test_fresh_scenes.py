@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.fresh_scenes import drop, groups, page, pictures
-from jaxisp.gap.case import Case, Split
-from jaxisp.gap.search.refit import Trial
+from jaxisp.gap.search.trial import Bars, Trial
+from jaxisp.gap.simulator.model import Variant
+from tests.gap import toy
 
 
 def test_fresh_scenes_are_neither_fitted_nor_held_out():
@@ -16,33 +17,14 @@ def test_fresh_scenes_are_neither_fitted_nor_held_out():
     assert len(names) == 12 and [n[0] for n in names] == ["0"] * 6 + ["1"] * 6
 
 
-class Model:
-    chosen_too = False
-
-    def chosen(self, choice):
-        other = Model()
-        other.chosen_too = True
-        return other
-
-
-class Problem:
-    """The gap of scene i is 10 + i; the effect takes away 6, the demosaicker beside it 1 alone."""
-
-    def __init__(self):
-        self.model, self.z = Model(), np.zeros(1)
-
-    def units(self, z):
-        left = 10.0 + np.arange(6)[:, None]
-        return left - 6 * (z[0] > 0) - 1.0 * self.model.chosen_too
-
-
-@pytest.mark.parametrize(("choice", "lost"), [(None, 6.0), ("another demosaicker", 6.0)])
-def test_what_is_closed_is_counted_as_the_diagnosis_does(choice, lost):
-    case = Case("clean+noisy", Problem(), Split((0, 1, 2), (3, 4, 5)), np.ones(6), {}, [])
-    model = case.problem.model
-    trial = Trial("vignetting", np.ones(1), 14, 8, 0.5, 0.4, 0.6, 0.0, choice)
-    assert drop(case, trial) == (pytest.approx(lost), pytest.approx(13.0))
-    assert case.problem.model is model
+@pytest.mark.parametrize("choice", [None, Variant({"variant": np.float32(1)}, {})])
+def test_what_is_closed_is_counted_as_the_diagnosis_does(choice):
+    """The demosaicker beside the effect takes away 1 by itself, which is not the effect's."""
+    evidence = toy.line({"vignetting": (1, 0)}, (np.sqrt(6.0), 1.0), beside=(0, 1))
+    start = evidence.at(toy.model(["vignetting"]), np.zeros(2))
+    bars = Bars(0.0)
+    trial = Trial("vignetting", np.array([0, np.sqrt(6.0)]), 14, 8, 0.5, 0.4, 0.6, bars, choice)
+    assert drop(toy.case(evidence, start), trial) == (pytest.approx(6.0), pytest.approx(7.0))
 
 
 def test_the_page_counts_what_is_inside():

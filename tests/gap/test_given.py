@@ -17,9 +17,11 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.given import of_recipe
 from jaxisp.gap.base.given_camera import of_camera
 from jaxisp.gap.base.given_chain import check_camera
+from jaxisp.gap.base.mean import MeanFit
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.simulator.effects import candidates
 from jaxisp.pipeline import Chain, Gate, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe
@@ -124,7 +126,9 @@ def test_what_stands_for_the_clean_light_goes_to_the_sensor_as_that_does(rng):
     model = plain.mean_model({})
     pictures = model.render(np.zeros(len(model.coordinates)), light)
     pairs = Pairs(("a", "b"), light, pictures, np.ones((2, 40, 40), bool), light[::-1])
-    _, seen = of_camera(standard_camera(), ALL, plain, Problem(model, pairs), (0, 1))
+    objective = PixelObjective.of(pairs)
+    mean = MeanFit(plain, objective, objective.at(model, np.zeros(len(model.coordinates))))
+    _, seen = of_camera(standard_camera(), ALL, mean)
     assert not np.allclose(seen.light, light, atol=0.02)
     np.testing.assert_allclose(seen.again, seen.light[::-1], atol=1e-6)
 

@@ -15,10 +15,10 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import model as fitted
 from jaxisp.gap import EFFECTS
-from jaxisp.gap.base.raw_jpeg import camera_model, candidates
-from jaxisp.gap.case import NULL_EXCESS
-from jaxisp.gap.diagnose import raw_case
-from jaxisp.gap.search.verdict import gap_at, searched
+from jaxisp.gap.base.raw_jpeg import camera_model, raw_case
+from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.search.verdict import searched
+from jaxisp.gap.simulator.effects import candidates
 from jaxisp.io import Raw, open_dataset
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.settings import Settings
@@ -162,7 +162,7 @@ def searched_for(folder, *effects):
     """What a search for these beside `PLAIN` finds, and the gap before it."""
     loaded = [pair.load() for pair in open_dataset(folder).pairs]
     case = raw_case(loaded, PLAIN, but(*effects), lambda *_: None)
-    gap = gap_at(case)
+    gap = case.gap()
     return searched(case, gap, lambda *_: None), case, gap
 
 
@@ -170,10 +170,10 @@ def searched_for(folder, *effects):
 def test_effects_that_are_searched_for_are_refitted_beside_a_camera(tmp_path, effect):
     """They alone are tried: no number is fitted by its derivative."""
     found, case, _ = searched_for(write(tmp_path, lambda m: np.minimum(m, 0.55)), effect)
-    assert case.problem.model.base == () and case.given == "camera plain"
+    assert case.point.model.base == () and case.given == "camera plain"
     if effect == "highlight_clipping":
         ((cause, _),) = found.causes
-        white = case.problem.model.params(cause.z)["highlight_clipping"].white
+        white = case.point.model.params(cause.z)["highlight_clipping"].white
         assert white == pytest.approx(0.55, abs=0.02) and cause.closed > 0.9
 
 
@@ -181,7 +181,7 @@ def test_effects_that_are_searched_for_are_refitted_beside_a_camera(tmp_path, ef
 def test_nothing_is_tried_beside_a_camera(tmp_path, power):
     found, case, gap = searched_for(write(tmp_path, lambda m: m**power, count=2))
     assert found.causes == [] and case.offered == []
-    assert gap.exceeds(NULL_EXCESS["raw+jpeg"]) == (power != 1.0)
+    assert gap.exceeds(CRITERIA["raw+jpeg"].null_excess) == (power != 1.0)
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ from PIL import Image
 from scipy import ndimage
 
 from experiments.withheld.scenes import scenes
-from jaxisp.gap.diagnose import _laid, raw_case
-from jaxisp.gap.pairs.align_raw import Laid, in_one_frame
+from jaxisp.gap.base.raw_jpeg import raw_case
+from jaxisp.gap.pairs.align_raw import Aligned, align_raw
 from jaxisp.gap.pairs.headers import of_one_sampling, stated_warp
+from jaxisp.gap.report.document import _aligned
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.io import read_raw
 from jaxisp.io.datasets import open_dataset
@@ -78,16 +79,16 @@ def shoot(folder: Path, stated: Sequence[Opcode]) -> Path:
 
 def error(folder: Path) -> float:
     """What the fitted base leaves, in floors."""
-    laid = in_one_frame([pair.load() for pair in open_dataset(folder).pairs])
-    case = raw_case(laid.kept, None, sorted(EFFECTS), lambda *_: None)
-    assert len(laid.kept) == 3 and case.problem.earlier == EARLIER
-    return float(np.mean(case.problem.errors(case.problem.z)) / np.mean(case.floors))
+    aligned = align_raw([pair.load() for pair in open_dataset(folder).pairs])
+    case = raw_case(aligned.kept, None, sorted(EFFECTS), lambda *_: None)
+    assert len(aligned.kept) == 3 and case.pixels.earlier == EARLIER
+    return float(case.point.error / np.mean(case.floors))
 
 
 def test_a_stated_lens_is_no_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Corrections of 3 px and of half of the light are put before the pairs; either alone is a gap. Where an
     earlier compression began is known, though nothing is tried."""
-    monkeypatch.setattr(import_module("jaxisp.gap.diagnose"), "earlier_grid", lambda luma: EARLIER)
+    monkeypatch.setattr(import_module("jaxisp.gap.base.raw_jpeg"), "earlier_grid", lambda luma: EARLIER)
     found = {}
     for name, stated in {"all": [VIGNETTE, WARP], "warp": [WARP], "vignetting": [VIGNETTE]}.items():
         found[name] = error(shoot(tmp_path / name, stated))
@@ -107,9 +108,9 @@ def test_a_file_that_samples_chroma_otherwise_is_left_out(tmp_path: Path) -> Non
         assert words in reason
     as_png = [dataclasses.replace(pair, jpeg=None) for pair in loaded]
     assert of_one_sampling(as_png) == (as_png, [])
-    assert loaded[1].jpeg is not None and _laid(Laid(loaded, [], []), ())["encoder_not_modelled"] == []
+    assert loaded[1].jpeg is not None and _aligned(Aligned(loaded, [], []), ())["encoder_not_modelled"] == []
     odd = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, subsampling="4:1:1"))
-    (said,) = _laid(Laid([odd, *as_png], [], []), ())["encoder_not_modelled"]
+    (said,) = _aligned(Aligned([odd, *as_png], [], []), ())["encoder_not_modelled"]
     assert said["name"] == odd.name and "4:1:1" in said["reason"]
     own = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, color_space="RGB"))
     assert "JPEG, 4:4:4, RGB" in of_one_sampling([own, *loaded[2:]])[1][0][1]

@@ -5,8 +5,9 @@ import pytest
 
 from experiments.null_bank import BEYOND, LEAST, bank_of, beyond, left_out
 from jaxisp.gap.axes import null_bank
-from jaxisp.gap.axes.null_bank import CLEAR, as_large, bank, held_against_nulls
+from jaxisp.gap.axes.null_bank import as_large, bank, held_against_nulls
 from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, RAW_JPEG
 
 GAP = Gap(before=12.0, floor=2.0)
@@ -24,7 +25,7 @@ def test_the_bank_that_is_shipped():
         assert set(own["usual"]) == set(AXES), "cameras with several frames among them"
         assert all(size >= LEAST for size in own["usual"].values())
         assert len(own["largest"]) >= 100 and own["largest"] == sorted(own["largest"])
-        assert as_large(np.inf, own["largest"]) <= CLEAR < as_large(1.0, own["largest"])
+        assert as_large(np.inf, own["largest"]) <= CRITERIA[RAW_JPEG].clear < as_large(1.0, own["largest"])
 
 
 def test_usual_is_a_quantile_and_the_largest_is_over_axes(rng):
@@ -55,18 +56,18 @@ def test_p_value_is_the_larger_of_two(monkeypatch):
         {"axis": "row", "share": 0.2, "p_value": 0.002},
         {"axis": "frame", "share": 0.1, "p_value": 0.003},
     ]
-    row, frame = held_against_nulls(rows, RAW_JPEG, 12.0, GAP)
+    row, frame = held_against_nulls(rows, RAW_JPEG, 12.0, GAP.unit)
     assert row["size"] == pytest.approx(0.2 * 12 / 2) and row["usual"] == 0.5
     assert row["p_value"] == pytest.approx(0.01)
     assert frame["p_value"] == 0.003 and frame["usual"] is None, "no camera of the bank has it"
-    by_chance = held_against_nulls([rows[0] | {"p_value": 0.3}], RAW_JPEG, 12.0, GAP)
+    by_chance = held_against_nulls([rows[0] | {"p_value": 0.3}], RAW_JPEG, 12.0, GAP.unit)
     assert by_chance[0]["p_value"] == 0.3
-    small = held_against_nulls([rows[0] | {"share": 0.001}], RAW_JPEG, 12.0, GAP)
+    small = held_against_nulls([rows[0] | {"share": 0.001}], RAW_JPEG, 12.0, GAP.unit)
     assert small[0]["p_value"] == 1.0, "beyond chance, but usual"
 
 
 def test_statistics_are_in_units_already(monkeypatch):
     monkeypatch.setattr(null_bank, "bank", lambda: {CLEAN_NOISY: {"usual": {"row": 2.0}, "largest": [1.0]}})
     rows = [{"axis": "row", "share": 0.2, "size": 3.0, "p_value": 0.1}]
-    assert held_against_nulls(rows, CLEAN_NOISY, 12.0, GAP)[0]["size"] == 3.0
-    assert held_against_nulls(rows, CLEAN_NOISY, 12.0, GAP)[0]["p_value"] == 0.5
+    assert held_against_nulls(rows, CLEAN_NOISY, 12.0, GAP.unit)[0]["size"] == 3.0
+    assert held_against_nulls(rows, CLEAN_NOISY, 12.0, GAP.unit)[0]["p_value"] == 0.5

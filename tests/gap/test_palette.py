@@ -9,7 +9,7 @@ from experiments.withheld.scenes import GREY, scenes
 from experiments.withheld.shoot import write
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.palette import TYPICAL, is_colourless, typical_matrix
-from jaxisp.gap.report.record import NO_COLOURS, TAKEN_UP
+from jaxisp.gap.report.record import ABSORBED, NO_COLOURS
 
 
 def taken(name: str, colours: float = 1.0, noise: float = 0.0) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_beside_grey_scenes_the_matrix_is_a_usual_one_and_nothing_is_missing(tmp
     reasons = {name: {r["effect"]: r for r in report["ranking"]} for name, report in reports.items()}
     assert reasons[GREY]["color_matrix"]["reason"] == NO_COLOURS
     assert reasons[GREY]["color_matrix"]["status"] == "not_identifiable"
-    assert reasons["two"]["color_matrix"]["reason"] == TAKEN_UP
+    assert reasons["two"]["color_matrix"]["reason"] == ABSORBED
     base = reports[GREY]["base"]
     matrix = np.array(base["fitted"]["color_matrix"]["matrix"])
     np.testing.assert_allclose(matrix, typical_matrix(matrix.sum(1)), rtol=1e-5)

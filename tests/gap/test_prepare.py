@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from jaxisp.camera import standard_camera
-from jaxisp.gap.base.absorbed import taken_up
-from jaxisp.gap.base.raw_jpeg import camera_model, candidates, choices, fit_base
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.base.absorbed import absorbed_shares
+from jaxisp.gap.base.plain_raw import choices, fit_base
+from jaxisp.gap.base.raw_jpeg import camera_model
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.report.record import base_row
-from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom, rooted
+from jaxisp.gap.simulator.effects import candidates
+from jaxisp.gap.simulator.model import Variant, build, plain_camera, plain_freedom, rooted
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings
@@ -45,7 +48,7 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     model = build(chain, params, balance, plain_freedom(), [])
     which = 2 * list(DEMOSAICKERS).index("hamilton-adams") + 1  # white balanced last
     truth = choices(model)[which]
-    camera = model.chosen(Choice(truth.shared | rooted(roots), truth.per_pair))
+    camera = model.chosen(Variant(truth.shared | rooted(roots), truth.per_pair))
     pictures = np.round(255 * camera.render(np.zeros(len(model.coordinates)), light)) / 255
     pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
     base = fit_base(model, pairs, [0, 2])
@@ -75,6 +78,6 @@ def test_what_a_base_takes_up_is_what_would_be_left_without_it():
     fitted = start.with_shared(start.shared | warm)
     z = np.zeros(len(start.coordinates))
     pairs = Pairs(("a", "b"), light, fitted.render(z, light), np.ones(light.shape, bool))
-    shares = taken_up(Problem(fitted, pairs), [0, 1], fitted, start.shared)
+    shares = absorbed_shares(PixelObjective.of(pairs), fitted, start.shared, [0, 1])
     assert shares["white_balance"] == pytest.approx(1, abs=1e-4), "nothing is left with it"
     assert shares["color_matrix"] == shares["tone_curve"] == shares["black_level_offset"] == 0

@@ -4,17 +4,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.case import Split
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.search.refit import Whole, few_scenes, interval, refit
-from jaxisp.gap.simulator.effects import RAW_JPEG
-from jaxisp.gap.simulator.model import Choice, build, plain_camera, plain_freedom
+from jaxisp.gap.axes.interval import few_scenes, interval
+from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.refit import refit
+from jaxisp.gap.search.trial import Bars, Whole
+from jaxisp.gap.simulator.effects import RAW_JPEG, candidates
+from jaxisp.gap.simulator.model import Variant, build, plain_camera, plain_freedom
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 CHOICES = [
-    Choice({"demosaicking": Demosaicking(shares=shares)}, {})
+    Variant({"demosaicking": Demosaicking(shares=shares)}, {})
     for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)[:3]
 ]
 
@@ -29,13 +32,13 @@ def test_a_choice_is_not_credited_to_the_effect(blur, least, most):
     z = np.zeros(len(model.coordinates))
     z[model.indices(["optical_blur"])] = blur
     pictures = model.chosen(CHOICES[0]).render(z, light)  # bilinear; the base starts from Malvar's
-    problem = Problem(
-        model, Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool)), CHOICES
-    )
-    problem.compute(model.indices(["optical_blur"]) + model.base_indices)
-    split = Split((0, 2), (1, 3))
-    parts = problem.units(problem.z)[list(split.held_out)]
-    found = refit(problem, "optical_blur", split, Whole(float(parts.mean()), parts), 0.0)
+    pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
+    objective = PixelObjective.of(pairs, Split((0, 2), (1, 3)), CHOICES)
+    at = objective.at(model, np.zeros(len(z)))
+    at = objective.compute(at, model.indices(["optical_blur"]) + model.base_indices)
+    parts = objective.units(at)[[1, 3]]
+    whole = Whole(float(parts.mean()), parts)
+    found = refit(objective, at, "optical_blur", whole, Bars(0.0), CRITERIA[RAW_JPEG])
     assert found.choice is CHOICES[0]
     assert least < found.closed < most
 

@@ -9,7 +9,7 @@ from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.gap.features import residual_statistics
 from jaxisp.gap.features.mean import normalised_regressors, regressors, tents
 from jaxisp.gap.features.noise import LEVELS
-from jaxisp.gap.features.quantization import unknown_codes
+from jaxisp.gap.features.quantization import unknown_quantization
 from jaxisp.gap.features.residual_statistics import (
     compile_features,
     feature_names,
@@ -17,7 +17,7 @@ from jaxisp.gap.features.residual_statistics import (
     frames_of,
     noise_of,
 )
-from jaxisp.gap.objective.tolerances import axis_of, present, tolerances, weights
+from jaxisp.gap.features.tolerances import axis_of, present, tolerances, weights
 from jaxisp.gap.simulator.effects import AXES
 from tests.gap.scenes import scenes
 
@@ -26,7 +26,7 @@ N, H, W = SCENE.shape[:3]
 ROW, COLUMN = np.mgrid[:H, :W]
 MASK = jnp.ones((N, H, W), jnp.float32)
 FRAMES = frames_of(["a", "b", "c", "d"])
-SEEN = unknown_codes((H, W))
+SEEN = unknown_quantization((H, W))
 MAPS = normalised_regressors(jnp.asarray(SCENE), MASK)
 
 
@@ -246,5 +246,5 @@ def test_what_was_compiled_before_serves_pictures_of_that_size():
     scene = jnp.asarray(SCENE[:2, : shape[0], : shape[1]])
     mask = jnp.ones((2, *shape), jnp.float32)
     maps = normalised_regressors(scene, mask)
-    features(jnp.asarray(scene + 1), scene, mask, maps, frames_of(["a", "b"]), unknown_codes(shape))
+    features(jnp.asarray(scene + 1), scene, mask, maps, frames_of(["a", "b"]), unknown_quantization(shape))
     assert [program._cache_size() for program in programs] == sizes

@@ -1,90 +1,64 @@
+"""How many of the causes found account for the gap, and in which order they are told: by the search itself,
+on evidence that is linear in a few numbers."""
+
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jaxisp.gap.case import Case, Gap, Split
-from jaxisp.gap.search import verdict
-from jaxisp.gap.search.account import Shown
-from jaxisp.gap.search.refit import Trial, Whole
-from jaxisp.gap.search.stepwise import Searched
-from jaxisp.gap.search.verdict import by_closure, gap_at, searched
+from jaxisp.gap.case import Gap
+from jaxisp.gap.search.trial import Bars, Trial
+from jaxisp.gap.search.verdict import by_closure, searched, terms_of
+from tests.gap import toy
 
 
-def trial(effect, z, before, after, choice=None):
-    closed = (before - after) / 10
-    return Trial(effect, np.array([z]), before, after, closed, closed - 0.05, closed + 0.05, 0.05, choice)
+def quiet(done, total, text):
+    pass
 
 
-class Model:
-    effects = ("prnu", "double_compression")
-
-    def __init__(self, *choices):
-        self.choices = choices
-
-    def indices(self, names):
-        return [self.effects.index(name) for name in names]
-
-    def chosen(self, choice):
-        return Model(*self.choices, choice)
+def found_of(evidence, start, **more):
+    case = toy.case(evidence, start, **more)
+    return searched(case, case.gap(), quiet)
 
 
-class Problem:
-    def __init__(self):
-        self.model, self.z, self.references = Model(), np.zeros(1), {}
-
-    def move_to(self, z):
-        self.z = z
+FIRST, SECOND = "chroma_denoising", "vignetting"
 
 
-STEPS = [(trial("first", 1.0, 11.0, 4.0, "other"), ["alike"]), (trial("second", 2.0, 4.0, 2.0), [])]
+@pytest.mark.parametrize(("holding", "far"), [(2, (50, 25, 20)), (1, (50, 25, 28)), (0, (50, 40, 38))])
+def test_as_many_causes_are_kept_as_account_for_the_gap(holding, far):
+    """Edges are elsewhere: where they stay so, a cause only looks like one; a last step that spoils them
+    takes none of those before it along."""
+
+    def distance(on):
+        return far[len(on)] if FIRST in on or not on else far[0]
+
+    evidence, start = toy.apart({FIRST: 0.7, SECOND: 0.29, "prnu": 0.0}, distance=distance)
+    found = found_of(evidence, start)
+    assert [t.effect for t, _ in found.causes] == [FIRST, SECOND][:holding]
+    on = {c.node for c, v in zip(start.model.coordinates, found.point.z) if abs(v) > 0.1}
+    assert on == {FIRST, SECOND} & {t.effect for t, _ in found.causes}
+    assert (found.before.distance, found.after.distance) == (50, far[holding])
+    assert (found.refused is None) == (holding > 0)
+    if found.refused is not None:  # what all of them would close
+        assert [t.effect for t, _ in found.refused.causes] == [FIRST, SECOND]
+        assert found.refused.after.distance == far[2] and found.refused.point.error < start.error / 5
 
 
-@pytest.mark.parametrize("holding", [0, 1, 2])
-def test_as_many_causes_are_kept_as_account_for_the_gap(monkeypatch, holding):
-    """A last step that only looks like a cause takes none of those before it along."""
-
-    def account(kind, names, before, after, gap, left):
-        assert (gap, before.error) == (Gap(11.0, 1.0), 0.0)
-        assert left == {1.0: 4.0, 2.0: 2.0}[after.error]  # what is left where the problem stands
-        assert names == ["first", "second"][: int(after.error)]
-        return after.error <= holding
-
-    monkeypatch.setattr(verdict, "search", lambda problem, *rest: Searched(STEPS, {}, {}, []))
-    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(float(problem.z[0]), []))
-    monkeypatch.setattr(verdict, "whole_of", lambda case, size: Whole(size, np.ones((1, 1))))
-    monkeypatch.setattr(verdict, "accounted", account)
-    problem = Problem()
-    case = Case("clean+noisy", problem, Split((0,), (1,)), np.ones(2), {}, [])
-    found = searched(case, Gap(11.0, 1.0), lambda *tick: None)
-    assert [t.effect for t, _ in found.causes] == ["first", "second"][:holding]
-    assert problem.z == holding and problem.model.choices == (("other",) if holding else ())
-    assert (found.before.error, found.after.error) == (0, holding)
-    assert (found.refused is None) == (holding > 0)  # else what all of them would close
-    if found.refused is not None:
-        near = found.refused
-        assert ([t.effect for t, _ in near.causes], near.after.error) == (["first", "second"], 2.0)
-        assert (near.model.choices, near.z) == (("other",), 2.0)
+def test_a_gap_within_the_floor_has_no_cause():
+    """Though an effect would close all of it."""
+    evidence, start = toy.apart({FIRST: 1.0}, gap=0.5)
+    found = found_of(evidence, start)
+    assert found.causes == [] and found.point is start and found.predicted[FIRST] == pytest.approx(0.5, 0.01)
 
 
-def test_a_gap_within_the_floor_has_no_cause(monkeypatch):
-    monkeypatch.setattr(verdict, "search", lambda problem, *rest: Searched(STEPS, {}, {}, []))
-    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(0.0, []))
-    monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
-    case = Case("clean+noisy", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
-    assert searched(case, Gap(1.5, 1.0), lambda *tick: None).causes == []
-
-
-@pytest.mark.parametrize(("references", "bars"), [({}, {}), ({1: 92.0}, {"double_compression": 0.1})])
-def test_what_the_file_does_anyway_must_close_more_than_half_a_floor(monkeypatch, references, bars):
-    asked = []
-    monkeypatch.setattr(verdict, "search", lambda *given: asked.append(given[4]) or Searched([], {}, {}, []))
-    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(0.0, []))
-    monkeypatch.setattr(verdict, "whole_of", lambda case, size: SimpleNamespace())
-    case = Case("raw+jpeg", Problem(), Split((0,), (1,)), np.ones(2), {}, [])
-    case.problem.references = references
-    searched(case, Gap(60.0, 10.0), lambda *tick: None)
-    assert asked[0].bars == bars
+@pytest.mark.parametrize("there", [True, False])
+def test_what_the_file_does_anyway_must_close_more_than_half_a_floor(there):
+    evidence, start = toy.apart({"prnu": 0.5, "double_compression": 0.1}, gap=5.0)
+    references = dict.fromkeys(start.model.indices(["double_compression"]), 0.0) if there else {}
+    case = toy.case(dataclasses.replace(evidence, references=references), start, "raw+jpeg")
+    bars = terms_of(case, Gap(6.0, 1.0)).bars
+    assert bars == ({"double_compression": pytest.approx(0.5 / 5.0)} if there else {})
 
 
 @pytest.mark.parametrize(("kind", "least"), [("raw+jpeg", 4.0), ("clean+noisy", 0.0)])
@@ -92,55 +66,52 @@ def test_what_is_harmless_is_no_smaller_where_a_file_is_not_compressed(kind, lea
     """A floor of rounding alone is no measure of it; that of a compressed file is."""
 
     def gap(before, floor):
-        problem = SimpleNamespace(z=None, units=lambda z: np.full((2, 1), before))
-        return gap_at(Case(kind, problem, Split((0,), (1,)), np.full(2, floor), {}, []))
+        evidence = SimpleNamespace(units=lambda point: np.full((4, 1), before), split=toy.SPLIT)
+        point = SimpleNamespace(model=SimpleNamespace(effects=()))
+        return toy.case(evidence, point, kind, floors=np.full(4, floor)).gap()
 
     small, large = gap(0.45, 0.1), gap(15.0, 10.0)
-    assert (small.before, small.floor, small.unit) == (0.45, 0.1, max(0.1, least))
+    assert (small.before, small.floor, small.unit) == (pytest.approx(0.45), 0.1, max(0.1, least))
     assert small.exceeds(0.1) == (least == 0)
     assert large.unit == 10 and large.exceeds(0.5) and not large.exceeds(0.51)
 
 
-FOUND = [(trial("small", 1.0, 11.0, 8.0), ["a"]), (trial("large", 2.0, 8.0, 3.0), ["b"])]  # 0.3, then 0.5
+def test_causes_are_measured_in_the_order_they_are_told_in():
+    """The files show the small one, which so comes first; it is told second, with what it closes beside the
+    large one, not with what both have in common."""
+    evidence = toy.line(
+        {"double_compression": (0.2, 0.98, 0), "prnu": (1, 0, 0)}, np.sqrt(10) * np.array([0.9, 0.435, 0])
+    )
+    start = evidence.at(toy.model(["double_compression", "prnu"]), np.zeros(3))
+    found = found_of(evidence, start, seen=("double_compression",))
+    (large, _), (small, _) = found.causes
+    assert (large.effect, small.effect) == ("prnu", "double_compression")
+    assert large.closed == pytest.approx(0.81, abs=0.01) and small.closed == pytest.approx(0.19, abs=0.01)
+    assert large.after == pytest.approx(small.before) and small.after == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("gaps", "measured"), [
-    ((5.0, 3.1), True), ((5.0, 3.6), False), ((8.0, 3.0), False), ((3.2, 3.1), False),
-])  # fmt: skip
-def test_causes_are_measured_in_the_order_they_are_told_in(monkeypatch, gaps, measured):
-    """The larger first, with what it closes alone; not where it would close less then, leave more than nulls'
-    chance, or make up for the other."""
-    again = [trial("large", 3.0, 11.0, gaps[0]), trial("small", 4.0, *gaps)]
-
-    def replayed(problem, start, names, end, split, whole, least):
-        assert (start, names, end) == ("start", ["large", "small"], [2.0])
-        problem.move_to(again[-1].z)
-        return again
-
-    monkeypatch.setattr(verdict, "replayed", replayed)
-    monkeypatch.setattr(verdict, "shown", lambda problem, held: Shown(float(problem.z[0]), []))
-    problem, whole = Problem(), Whole(10.0, np.ones((1, 1)))
-    problem.move_to(np.array([2.0]))
-    case = Case("clean+noisy", problem, Split((0,), (1,)), np.ones(2), {}, [])
-    causes, after = verdict._as_added(case, "start", FOUND, Shown(2.0, []), whole, 0.05)
-    (first, alike), (second, _) = causes
-    assert (first.effect, alike, second.effect) == ("large", ["b"], "small")
-    assert (first.before, first.after) == (11.0, gaps[0] if measured else 6.0)
-    assert (second.before, second.after) == (first.after, gaps[1] if measured else 3.0)
-    assert problem.z == after.error == (4.0 if measured else 2.0)
+def test_what_would_close_next_to_nothing_in_the_order_told_stays_as_it_was_found():
+    """Beside the large one the other closes a fiftieth: they are told as they were found, the larger
+    first."""
+    angle = np.arcsin(np.sqrt(0.03))
+    evidence = toy.line(
+        {"double_compression": (0.45, 0.893, 0), "prnu": (1, 0, 0)},
+        np.sqrt(10) * np.array([np.cos(angle), np.sin(angle), 0]),
+    )
+    start = evidence.at(toy.model(["double_compression", "prnu"]), np.zeros(3))
+    found = found_of(evidence, start, seen=("double_compression",))
+    (large, _), (small, _) = found.causes
+    assert (large.effect, large.closed) == ("prnu", pytest.approx(0.64, abs=0.02))
+    assert (small.effect, small.closed) == ("double_compression", pytest.approx(0.36, abs=0.02))
 
 
-def test_what_was_found_in_order_is_not_fitted_again(monkeypatch):
-    monkeypatch.setattr(verdict, "replayed", None)
-    grain = [FOUND[0], (trial("film_grain", 0.0, 8.0, 3.0), [])]
-    for causes in (STEPS, grain, FOUND[:1]):
-        case = SimpleNamespace(stored=0.0)
-        found, after = verdict._as_added(case, None, causes, "after", None, 0.05)
-        assert found == by_closure(causes) and after == "after"
+def trial(effect, before, after):
+    closed = (before - after) / 10
+    return Trial(effect, np.zeros(1), before, after, closed, closed - 0.05, closed + 0.05, Bars(0.05))
 
 
 def test_causes_come_by_what_they_close():
-    small, large = trial("s", 0.0, 11.0, 8.0), trial("l", 0.0, 8.0, 3.0)  # 0.3, then 0.5
+    small, large = trial("s", 11.0, 8.0), trial("l", 8.0, 3.0)  # 0.3, then 0.5
     assert by_closure([(small, ["a"])]) == [(small, ["a"])]
     (first, alike), (second, _) = by_closure([(small, ["a"]), (large, ["b"])])
     assert (first.before, first.after, alike) == (11.0, 6.0, ["b"]) and first.closed == large.closed

@@ -113,7 +113,7 @@ def test_a_camera_for_bayer_does_not_render_it(tmp_path, demosaic, needed):
 
 
 def test_a_camera_for_xtrans_does_not_render_bayer(tmp_path):
-    with pytest.raises(InputError, match=r"standard.*is not X-Trans"):
+    with pytest.raises(InputError, match=r"standard.*must be X-Trans.*RGGB"):
         develop(read_raw(dng(tmp_path / "a.dng")), standard_camera("demosaic_markesteijn"))
 
 

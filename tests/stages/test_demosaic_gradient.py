@@ -1,4 +1,4 @@
-"""Demosaicking: the derivative in both modes, and how far a stage looks."""
+"""Demosaicking: the derivative in both modes."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jaxisp.pipeline import stage
-from jaxisp.stages.demosaic.strips import reach
 from jaxisp.testing import smooth_image
 from tests.stages.test_demosaic import SHAPE, compiled
 
@@ -78,14 +77,3 @@ def test_gradient_of_the_gradient(x64):
     gradient = jax.grad(lambda m: jnp.sum(fn(m) ** 2))
     curved = jax.jit(jax.grad(lambda m: jnp.vdot(gradient(m), step)))(mosaic)
     np.testing.assert_allclose(curved, jax.jit(gradient)(step), atol=1e-12)
-
-
-@pytest.mark.parametrize(("name", "static"), [*VARIANTS, ("demosaic_ahd", {"delta": 3, "median_passes": 2})])
-def test_nothing_beyond_the_reach_matters(name, static, x64):
-    far = reach(name, **static)
-    mosaic, at = smooth_image((2 * far + 5, 31)), far + 2
-    fn, rng = compiled(name, **static), np.random.default_rng(0)
-    for _ in range(5):
-        other = mosaic.copy()
-        other[at + far + 1 :] = rng.uniform(size=other[at + far + 1 :].shape)
-        np.testing.assert_array_equal(fn(other)[at], fn(mosaic)[at])

@@ -11,21 +11,18 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
-from jaxisp.gap.case import Gap, Rows
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.simulator.effects import RAW_JPEG
 
-CLEAR = 0.05
-"""Axes whose p-value is above are not said to have a gap."""
 
-
-def held_against_nulls(rows: Rows, kind: str, at: float, gap: Gap) -> list[dict[str, Any]]:
+def held_against_nulls(rows: Rows, kind: str, at: float, unit: float) -> list[dict[str, Any]]:
     """Axes as they are located, with what cameras that lack nothing say of them.
 
     Args:
         rows: the axes.
         kind: of the data.
         at: the gap where they were located.
-        gap: at the base.
+        unit: what is harmless, in the unit of the gap.
 
     Returns:
         the rows with `size`: in RAW+JPEG pairs the part of the gap that the axis explains, in units of it, in
@@ -35,11 +32,11 @@ def held_against_nulls(rows: Rows, kind: str, at: float, gap: Gap) -> list[dict[
         that lacks nothing having any axis as many times as large as usual.
     """
     nulls = bank()[kind]
-    return [_beside(nulls, row, _size(row, kind, at, gap)) for row in rows]
+    return [_beside(nulls, row, _size(row, kind, at, unit)) for row in rows]
 
 
-def _size(row: Mapping[str, Any], kind: str, at: float, gap: Gap) -> float:
-    return float(row["share"] * at / gap.unit if kind == RAW_JPEG else row["size"])
+def _size(row: Mapping[str, Any], kind: str, at: float, unit: float) -> float:
+    return float(row["share"] * at / unit if kind == RAW_JPEG else row["size"])
 
 
 def _beside(nulls: Mapping[str, Any], row: Mapping[str, Any], size: float) -> dict[str, Any]:

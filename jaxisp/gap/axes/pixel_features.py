@@ -198,7 +198,7 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 
 
 def ring(plane: np.ndarray) -> np.ndarray:
-    """Mean of what is 4 to 6 px away: it tells of all that is smooth, and nothing of white noise."""
+    """Mean of what is 4 to 6 px away: it follows smooth content and is independent of white noise."""
     return (169 * box(plane, 6) - 49 * box(plane, 3)) / 120
 
 

@@ -98,8 +98,8 @@ _Score = Callable[[int, Sequence[int], _Sums, _Sums], tuple[np.ndarray, np.ndarr
 
 class Regression:
     """Least squares on features; the first `given` of them, by channel, say what other axes say already. What
-    these explain each picture says for itself: a scene's own curve is no matter of what lies around, though
-    the curves of scenes differ where that is what a camera looks at."""
+    these explain each picture says for itself: a scene's own curve does not depend on the surroundings,
+    though the curves of scenes differ where that is what a camera looks at."""
 
     def __init__(self, given: Sequence[int] = (0, 0, 0)) -> None:
         self.given = given

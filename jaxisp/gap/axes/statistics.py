@@ -1,19 +1,19 @@
-"""Clean+noisy pairs: the axes that a gap lies on, by what the statistics of each differ by."""
+"""Where a gap of statistics lies: the axes, by how far the statistics of each differ."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.interval import Draws
-from jaxisp.gap.case import Rows
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.tolerances import axis_of, present, repeats
+from jaxisp.gap.features.tolerances import axis_of, present, repeats
 
-_SPILT = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
-"""Axes that whatever stands in one place shows on too: to a picture's statistics its pixels are outliers."""
+_LEAKED = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
+"""Axes that a fixed pattern also shows on: its pixels are outliers to the statistics of a picture."""
 _PLACE = "fixed_pattern"
-_BROAD = 8.0  # px: shading, which is smooth, is no matter of place
+_BROAD = 8.0  # px: shading is smooth, and not counted as a place
 _SURELY = 5.0  # standard deviations of a median over scenes: of 10^5 pixels one may be so far off by chance
 _LEAST_NOISE = 0.5  # 8-bit steps
 _DEVIATION = 1.4826  # of a normal distribution, by its median
@@ -67,7 +67,7 @@ def located(
     return _ranked(found)
 
 
-def credited(
+def reattributed(
     rows: Rows,
     difference: np.ndarray,
     without: np.ndarray,
@@ -86,14 +86,14 @@ def credited(
         scenes: (N,) as there.
     """
     above, left = (_above(own**2 - weights, weights) for own in (difference, without))
-    spilt = _spilt(above, left)
+    leaked = _leaked(above, left)
     draws, shares = Draws.of(scenes), _moved(above, left)
     ci: dict[str, list[float] | None] = dict.fromkeys(shares)
     if draws is not None:
         both = zip((difference, without), apart)
         drawn = _moved(*(_above(_excess(mean, own, draws, weights), weights) for mean, own in both))
         ci = _intervals(draws, shares, drawn)
-    size = max(row["size"] for row in rows if row["axis"] == _PLACE or spilt.get(row["axis"], 0.0) > 0)
+    size = max(row["size"] for row in rows if row["axis"] == _PLACE or leaked.get(row["axis"], 0.0) > 0)
     surely = {"size": size, "p_value": _p_value(size)}
 
     def own(row: dict[str, Any]) -> dict[str, Any]:
@@ -160,16 +160,16 @@ def _shares(above: Above) -> Above:
     return {axis: own / total for axis, own in above.items()}
 
 
-def _spilt(above: Above, left: Above) -> Above:
+def _leaked(above: Above, left: Above) -> Above:
     """By axis the share that it has only of what stands in one place."""
     total = sum(above.values()) + 1e-9
-    return {a: np.maximum(above[a] - left[a], 0.0) / total for a in above if a in _SPILT}
+    return {a: np.maximum(above[a] - left[a], 0.0) / total for a in above if a in _LEAKED}
 
 
 def _moved(above: Above, left: Above) -> Above:
-    """The shares, with what is spilt as that axis's own."""
-    spilt = _spilt(above, left)
-    moved = spilt | {_PLACE: -sum(spilt.values())}
+    """The shares, with what is leaked as that axis's own."""
+    leaked = _leaked(above, left)
+    moved = leaked | {_PLACE: -sum(leaked.values())}
     return {axis: share - moved.get(axis, 0.0) for axis, share in _shares(above).items()}
 
 

@@ -1,31 +1,30 @@
-"""What a plain base that was fitted takes up of the effects that are part of it."""
+"""What a plain base that was fitted absorbs of the effects that are part of it."""
 
-import copy
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from jaxisp.gap.objective.protocol import Objective
 from jaxisp.gap.simulator.model import Model
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
+from jaxisp.stages.balanced_noise import BalancedNoise
 
 
-def taken_up(problem: Any, which: Sequence[int], fitted: Model, start: Params) -> dict[str, float]:
-    """The shares of the error of these pairs that would be there were one of them as at the start, all else
-    as it was fitted, and is not: of tone curve, colour matrix, white balance and black level."""
+def absorbed_shares(objective: Objective, fitted: Model, start: Params, which: list[int]) -> dict[str, float]:
+    """By effect, the share of the error of these pairs that would be there with it as at the start, all else
+    as fitted, and is not: of tone curve, colour matrix, white balance and black level."""
     return {
-        name: _share(problem, which, fitted, params)
+        name: _share(objective, fitted, params, which)
         for name, params in _put_back(fitted.shared, start).items()
     }
 
 
-def noise_taken_up(problem: Any, which: Sequence[int], start: Any) -> float:
-    """Likewise of the base's noise, where the problem stands; `start` has the `shot` and `read` of before."""
-    noise = problem.model.shared["balanced_noise"]
+def absorbed_noise(objective: Objective, fitted: Model, start: BalancedNoise, which: list[int]) -> float:
+    """Likewise of the base's noise; `start` has the `shot` and `read` of before."""
+    noise = fitted.shared["balanced_noise"]
     before = dataclasses.replace(noise, shot=start.shot, read=start.read)
-    return _share(problem, which, problem.model, {"balanced_noise": before})
+    return _share(objective, fitted, {"balanced_noise": before}, which)
 
 
 def _put_back(fitted: Params, start: Params) -> dict[str, Params]:
@@ -41,12 +40,8 @@ def _put_back(fitted: Params, start: Params) -> dict[str, Params]:
     return found | {name: {name: start[name]} for name in ("tone_curve", "black_level_offset")}
 
 
-def _share(problem: Any, which: Sequence[int], fitted: Model, params: Params) -> float:
-    at = np.zeros(len(fitted.coordinates))
-    errors = []
-    for model in (fitted, fitted.with_shared(fitted.shared | params)):
-        other = copy.copy(problem)
-        other.model = model
-        errors.append(float(other.errors(at)[list(which)].mean()))
-    now, without = errors
+def _share(objective: Objective, fitted: Model, params: Params, which: list[int]) -> float:
+    z = np.zeros(len(fitted.coordinates))
+    models = fitted, fitted.with_shared(fitted.shared | params)
+    now, without = (float(objective.at(model, z).errors[which].mean()) for model in models)
     return max(0.0, without - now) / max(without, 1e-12)

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs that were cut at different places of the colour filter array, laid so that it is one.
+"""Pairs that were cut at different places of the colour filter array, moved so that it is one.
 
 Crops of several phones, or at odd offsets, have no pattern in common; one pattern for all leaves a gap on its
 phase that no effect accounts for.
@@ -10,9 +10,11 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap.base.mean import MeanFit
 from jaxisp.gap.features.mean import CHANNELS
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
 
 _APART = 0.1
 """What logarithms of variances differ by where the pattern is right: chance is a third of it."""
@@ -21,7 +23,7 @@ _SURELY = 30.0
 _MOVES = tuple(itertools.product((0, 1), repeat=2))
 
 
-def moves(real: np.ndarray, simulated: np.ndarray, mean: Problem) -> np.ndarray:
+def moves(real: np.ndarray, simulated: np.ndarray, mean: MeanFit) -> np.ndarray:
     """(N, 2) rows and columns, 0 or 1, by which each pair has to be moved to have the pattern of the others:
     with which its noise is strong where it is in the simulation, and its edges have the errors that
     demosaicking leaves there. 0 for all where that is one for all.
@@ -41,14 +43,15 @@ def moves(real: np.ndarray, simulated: np.ndarray, mean: Problem) -> np.ndarray:
     return found if clear and len(set(best)) > 1 else np.zeros_like(found)
 
 
-def _edges(mean: Problem) -> np.ndarray:
+def _edges(mean: MeanFit) -> np.ndarray:
     """(4, N) minus twice the log-likelihood of each pair's pixels, moved in each way, but for a constant:
     errors of next neighbours are alike, so that a tenth of them counts."""
-    count = mean.pairs.mask.sum((1, 2)) / 10
+    pairs, point = mean.objective.pairs, mean.point
+    count = pairs.mask.sum((1, 2)) / 10
     found = []
     for move in _MOVES:
-        pairs = moved(mean.pairs, np.tile(move, (len(count), 1)))
-        found.append(count * np.log(Problem(mean.model, pairs).errors(mean.z) + 1e-12))
+        objective = PixelObjective.of(moved(pairs, np.tile(move, (len(count), 1))))
+        found.append(count * np.log(objective.at(point.model, point.z).errors + 1e-12))
     return np.stack(found)
 
 

@@ -1,33 +1,36 @@
-"""Clean+noisy pairs: from the data set to the problem at its base, plain or given."""
+"""Clean+noisy pairs: their base, plain or given, and what it leaves to explain."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.gap.base import cfa_phase, raw_jpeg
-from jaxisp.gap.base.absorbed import noise_taken_up, taken_up
-from jaxisp.gap.base.given import Given, of_recipe
+from jaxisp.gap.base import cfa_phase
+from jaxisp.gap.base.absorbed import absorbed_noise, absorbed_shares
+from jaxisp.gap.base.given import GivenBase, of_recipe
 from jaxisp.gap.base.given_camera import of_camera
 from jaxisp.gap.base.given_chain import check_camera
-from jaxisp.gap.base.mean import fit_mean
+from jaxisp.gap.base.mean import MeanFit, fit_mean
 from jaxisp.gap.base.noise import fit_noise, rebased
 from jaxisp.gap.base.open_numbers import fit_open
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.case import Case, Split
-from jaxisp.gap.features.quantization import Codes, codes
+from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.criteria import CRITERIA, Criteria
+from jaxisp.gap.features.quantization import Quantization, quantization
 from jaxisp.gap.features.residual_statistics import compile_features
-from jaxisp.gap.objective.pixels import BORDER, Pairs, Problem, to_steps
-from jaxisp.gap.objective.statistics import StatisticsProblem
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.pairs.align_clean import clean_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
-from jaxisp.gap.pairs.scenes import split_of
-from jaxisp.gap.parallel import beside
-from jaxisp.gap.search.stepwise import Tick
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, Effect
-from jaxisp.gap.simulator.model import Choice, Model
+from jaxisp.gap.pairs.headers import stated_by
+from jaxisp.gap.pairs.pairs import BORDER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.parallel import in_background
+from jaxisp.gap.simulator.choices import with_earlier_grid
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, Effect, candidates
+from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params, stage
@@ -35,9 +38,9 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 _SMOOTHING = 2.0
-_STRAY = 12.0
+_OUTLIER = 12.0
 """How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
-were fitted to few colours say nothing of others."""
+were fitted to few colours do not carry over to others."""
 _UNLIKE_PAIR = 4.0
 """Likewise, of the median of all, where the two halves of a pair are hardly alike: they show two scenes."""
 _PASSES = 3
@@ -54,7 +57,8 @@ def clean_case(
     tick: Tick,
     *,
     is_camera: bool = False,
-    doubted: Sequence[str] = (),
+    uncertain: Sequence[str] = (),
+    criteria: Criteria = CRITERIA[CLEAN_NOISY],
 ) -> Case:
     """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics.
 
@@ -65,131 +69,138 @@ def clean_case(
 
     Args:
         loaded: the pairs.
-        simulator: the base; a plain one is fitted where there is none.
+        simulator: the base; default: fit a plain camera.
         exclude: effects that are not tried.
         seed: of the simulated noise.
         tick: called with (done, total, text).
         is_camera: whether the simulator takes a mosaic, not an encoded picture.
-        doubted: names of pairs whose halves may not show one scene.
+        uncertain: names of pairs whose halves may not show one scene.
+        criteria: what the verdict is decided by.
 
     Raises:
         InputError: no usable pair, an unknown effect, a simulator that cannot be a base.
     """
     pairs = clean_pairs(loaded, _SMOOTHING if simulator else 0.0)
     split = split_of(pairs.names)
-    effects = raw_jpeg.candidates(CLEAN_NOISY, exclude)
+    effects = candidates(CLEAN_NOISY, exclude)
     file, described = loaded[0].jpeg, loaded[0].settings.raw
     if simulator is not None:  # a fault here should not cost a fit
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
     cfa = described.cfa if described else None
-    with beside(lambda: compile_features({len(pairs.names), len(split.fit)}, _inside(pairs))):
-        camera, mean = fit_mean(file, pairs, split.fit, cfa)
-    strays = _strays(mean, split, doubted)
-    kept = [p for p in loaded if p.name not in strays]
+    with in_background(lambda: compile_features({len(pairs.names), len(split.fit)}, _inside(pairs))):
+        mean = fit_mean(file, pairs, split, cfa)
+    outliers = _outliers(mean, uncertain)
+    kept = [p for p in loaded if p.name not in outliers]
     if 1 < len(kept) < len(loaded):
-        case = clean_case(kept, simulator, exclude, seed, tick, is_camera=is_camera, doubted=doubted)
-        return dataclasses.replace(case, strays=(*strays, *case.strays))
+        case = clean_case(
+            kept, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain, criteria=criteria
+        )
+        return dataclasses.replace(case, outliers=(*outliers, *case.outliers))
     if simulator is None:
-        case = plain_case(camera, mean, split, effects, seed, tick)
+        case = plain_case(mean, effects, seed, tick)
         if file is None:  # a file's own grid would be elsewhere
-            case, mean = _laid_alike(pairs, case, mean, cfa, effects, seed, tick)
+            case, mean = _with_one_pattern(pairs, case, mean, cfa, effects, seed, tick)
     else:
         if is_camera:
-            given, pairs = of_camera(simulator, effects, camera, mean, split.fit)
+            given, pairs = of_camera(simulator, effects, mean)
         else:
-            given, pairs = of_recipe(simulator, effects, camera.cfa, file), _believed(pairs, mean.pairs)
-        seen = _codes(mean.model.moved(mean.z).shared, camera, pairs)
-        case = _given(given, pairs, seen, split, effects, seed, tick)
+            given = of_recipe(simulator, effects, mean.camera.cfa, file)
+            pairs = _believed(pairs, mean.objective.pairs)
+        read = _quantization(mean.model.shared, mean.camera, pairs)
+        case = _given_case(given, pairs, read, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
-    reference = _toned(case.problem.pairs.light, None if believed else mean)
-    return dataclasses.replace(case, offered=_not_stated(case, file), reference=reference)
+    reference = _toned(case.pairs.light, None if believed else mean)
+    offered = _not_stated(case, file)
+    return dataclasses.replace(case, offered=offered, reference=reference, criteria=criteria)
 
 
 def _not_stated(case: Case, file: Jpeg | None) -> list[str]:
     """The effects that are offered, but for what the file's header states."""
-    stated = raw_jpeg.stated_by(file)
+    stated = stated_by(file)
     if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
         stated.add("double_compression")
     return [name for name in case.offered if name not in stated]
 
 
-def _laid_alike(
+def _with_one_pattern(
     pairs: Pairs,
     case: Case,
-    mean: Problem,
+    mean: MeanFit,
     cfa: str | None,
     effects: Sequence[Effect],
     seed: int,
     tick: Tick,
-) -> tuple[Case, Problem]:
-    """The plain base of pairs and the problem its mean was fitted with, or both anew with the pairs moved to
-    one place of the colour filter array: crops need not have been cut alike."""
+) -> tuple[Case, MeanFit]:
+    """The plain base of pairs and its mean, or both anew with the pairs moved to one place of the colour
+    filter
+    array: crops need not have been cut alike."""
     for _ in range(_PASSES):
-        by = cfa_phase.moves(case.problem.real, case.problem.simulated(case.problem.z), mean)
+        assert case.statistics is not None
+        measure, at = case.statistics.measure, case.point
+        by = cfa_phase.moves(measure.real, measure.simulated(at.model, at.z), mean)
         if not by.any():
             break
         tick(0, 3, "fitting the base again: pairs are cut at different places of the colour filter array")
         pairs = cfa_phase.moved(pairs, by)
-        camera, mean = fit_mean(None, pairs, case.split.fit, cfa)
-        case = plain_case(camera, mean, case.split, effects, seed, tick)
+        mean = fit_mean(None, pairs, case.split, cfa)
+        case = plain_case(mean, effects, seed, tick)
     return case, mean
 
 
-def _strays(mean: Problem, split: Split, doubted: Sequence[str]) -> tuple[str, ...]:
+def _outliers(mean: MeanFit, uncertain: Sequence[str]) -> tuple[str, ...]:
     """The held-out pairs that the colours and tones of the fitted ones do not carry over to, and of all those
     that may be of two scenes."""
-    errors, names = mean.errors(mean.z), mean.pairs.names
+    errors, names, split = mean.point.errors, mean.objective.names, mean.objective.split
     usual = float(np.median(errors[list(split.fit)]))
-    far = [names[i] for i in split.held_out if errors[i] > _STRAY * usual]
+    far = [names[i] for i in split.held_out if errors[i] > _OUTLIER * usual]
     unlike = [
-        n for n, error in zip(names, errors) if n in doubted and error > _UNLIKE_PAIR * np.median(errors)
+        n for n, error in zip(names, errors) if n in uncertain and error > _UNLIKE_PAIR * np.median(errors)
     ]
     return tuple(dict.fromkeys((*far, *unlike)))
 
 
-def _toned(light: jax.Array, mean: Problem | None) -> np.ndarray:
+def _toned(light: jax.Array, mean: MeanFit | None) -> np.ndarray:
     """(N, H, W, 3) encoded sRGB in [0, 1]: clean light in the tones that a base has for it, pixel by pixel,
     where those are not the clean picture's own."""
     oetf, curve = stage("srgb_oetf"), stage("spline_curve")
     if mean is None:
         return np.clip(np.asarray(oetf.fn(light)), 0, 1)
-    shared = mean.model.moved(mean.z).shared
+    shared = mean.model.shared
     matrix = jnp.asarray(shared["color_matrix"].matrix, jnp.float32)
-    linear = jnp.matmul(mean.pairs.light, matrix.T, precision="highest")
+    linear = jnp.matmul(mean.objective.pairs.light, matrix.T, precision="highest")
     encoded = jax.vmap(lambda x: curve.fn(shared["tone_curve"], oetf.fn(x)))(linear)
     return np.clip(np.asarray(encoded), 0, 1)
 
 
-def plain_case(
-    camera: Camera, mean: Problem, split: Split, effects: Sequence[Effect], seed: int, tick: Tick
-) -> Case:
+def plain_case(mean: MeanFit, effects: Sequence[Effect], seed: int, tick: Tick) -> Case:
     """A plain camera whose mean was fitted, with its noise fitted too and all effects in it, off."""
-    model, shown = _placed(camera.whole_model(mean.model.moved(mean.z), effects), mean.pairs)
-    seen = _codes(model.shared, camera, mean.pairs)
+    pairs, split, camera = mean.objective.pairs, mean.objective.split, mean.camera
+    model, shown = _placed(camera.whole_model(mean.model, effects), pairs)
+    read = _quantization(model.shared, camera, pairs)
     choices = [  # the demosaicker nearest to the pictures may imitate an effect
-        Choice({"demosaicking": Demosaicking(shares=shares)}, {})
+        Variant({"demosaicking": Demosaicking(shares=shares)}, {})
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
     ]
 
     def noise_free(light: jax.Array) -> np.ndarray:
-        return to_steps(mean.model.render(mean.z, light))
+        return to_steps(mean.point.model.render(mean.point.z, light))
 
-    problem = StatisticsProblem(model, mean.pairs, noise_free, split, seen, choices, seed)
+    objective = StatisticsObjective.of(model, pairs, noise_free, split, read, choices, seed)
     tick(0, 3, "fitting the noise")
     before = model.shared["balanced_noise"]
-    fit_noise(problem, split.fit, rebased)
-    plain = camera.mean_model({}).shared
-    taken = taken_up(mean, split.fit, mean.model.moved(mean.z), plain)
-    taken["noise_level"] = noise_taken_up(problem, split.fit, before)
-    offered = [e.name for e in effects if e.name not in taken]
-    return Case(CLEAN_NOISY, problem, split, problem.floors, taken, offered, seen=shown)
+    objective, at = fit_noise(objective, objective.at(model, np.zeros(len(model.coordinates))), rebased)
+    fit_on = list(split.fit)
+    absorbed = absorbed_shares(mean.objective, mean.model, camera.mean_model({}).shared, fit_on)
+    absorbed["noise_level"] = absorbed_noise(objective, at.model, before, fit_on)
+    offered = [e.name for e in effects if e.name not in absorbed]
+    return _case(objective, at, absorbed, offered, shown)
 
 
-def _given(
-    given: Given,
+def _given_case(
+    given: GivenBase,
     pairs: Pairs,
-    seen: Codes,
+    read: Quantization,
     split: Split,
     effects: Sequence[Effect],
     seed: int,
@@ -197,15 +208,28 @@ def _given(
 ) -> Case:
     model, offered, absorbed = given.whole_model(effects)
     model, shown = _placed(model, pairs)
-    problem = StatisticsProblem(model, pairs, given.noise_free, split, seen, seed=seed)
+    objective = StatisticsObjective.of(model, pairs, given.noise_free, split, read, seed=seed)
     tick(0, 3, "fitting what the simulator leaves open")
-    fit_open(problem, given.open, split.fit)
-    problem.model = given.rebased(problem.model, problem.z)
-    fit_noise(problem, split.fit, given.rebased)
-    taken = dict.fromkeys(absorbed)  # not measured
-    about, names = given.about, tuple(sorted(given.fitted))
-    floors = problem.floors
-    return Case(CLEAN_NOISY, problem, split, floors, taken, offered, None, about, names, seen=shown)
+    at = objective.at(model, np.zeros(len(model.coordinates)))
+    objective, at = fit_open(objective, at, given.open)
+    at = objective.at(given.rebased(at.model, at.z), at.z)
+    objective, at = fit_noise(objective, at, given.rebased)
+    case = _case(objective, at, dict.fromkeys(absorbed), offered, shown)  # shares are not measured
+    return dataclasses.replace(case, given=given.about, open_nodes=tuple(sorted(given.fitted)))
+
+
+def _case(
+    objective: StatisticsObjective,
+    at: Point,
+    absorbed: Mapping[str, float | None],
+    offered: list[str],
+    shown: tuple[str, ...],
+) -> Case:
+    return Case(
+        kind=CLEAN_NOISY, criteria=CRITERIA[CLEAN_NOISY], pairs=objective.measure.pairs, evidence=objective,
+        point=at, floors=objective.floors,
+        absorbed=absorbed, offered=offered, statistics=objective, seen=shown,
+    )  # fmt: skip
 
 
 def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
@@ -214,7 +238,7 @@ def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
     if "double_compression" not in model.effects:
         return model, ()
     place = earlier_grid(to_steps(pairs.pictures)[..., 0])
-    return raw_jpeg.with_earlier_grid(model, place), ("double_compression",) if place != (0, 0) else ()
+    return with_earlier_grid(model, place), ("double_compression",) if place != (0, 0) else ()
 
 
 def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
@@ -229,8 +253,8 @@ def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
     return pairs.relit(lambda light: light * np.float32(factor))
 
 
-def _codes(shared: Params, camera: Camera, pairs: Pairs) -> Codes:
-    return codes(shared, camera.cfa, camera.gains, _inside(pairs), BORDER)
+def _quantization(shared: Params, camera: Camera, pairs: Pairs) -> Quantization:
+    return quantization(shared, camera.cfa, camera.gains, _inside(pairs), BORDER)
 
 
 def _inside(pairs: Pairs) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: a simulator that is given is the base. Its stages and its constants are believed.
+"""A simulator that is given is the base of clean+noisy pairs. Its stages and its constants are believed.
 
 What a recipe draws anew for each image it leaves open: these numbers are what they are in the real camera, as
 far as the recipe can draw them, and are fitted within the range of their priors.
@@ -22,8 +22,8 @@ from jaxisp.gap.base.given_chain import (
     with_file,
 )
 from jaxisp.gap.base.plain_clean import read_out
-from jaxisp.gap.base.raw_jpeg import with_choice
-from jaxisp.gap.objective.pixels import to_steps
+from jaxisp.gap.pairs.pairs import to_steps
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import Effect, Move
 from jaxisp.gap.simulator.model import Coordinate, Model, build, is_file
 from jaxisp.gap.simulator.render import Kept, render
@@ -81,7 +81,7 @@ class Open:
 
 
 @dataclasses.dataclass(frozen=True)
-class Given:
+class GivenBase:
     """A simulator, from linear light to the file.
 
     Attributes:
@@ -139,7 +139,7 @@ class Given:
             elif e.name == "noise_level" and self._noise_moves():
                 on_own[e.name] = self._noise_moves()
             elif e.site == "demosaic":
-                continue  # the simulator's own algorithm is none of the known
+                continue  # the simulator's own algorithm is not a known one
             taken = e.name in self.absorbed or on_own.get(e.name) == ()
             (absorbed if taken else tried).append(e)
         inserted = [e for e in tried if e.name not in on_own or e.name in present]
@@ -187,7 +187,7 @@ class Given:
         return next((n.name for n in reversed(nodes) if n.stochastic), nodes[0].name)
 
 
-def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | None) -> Given:
+def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | None) -> GivenBase:
     """A recipe as the base.
 
     The colour filter array is that of the pictures: which photosite comes first depends on where they were
@@ -212,7 +212,7 @@ def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | 
     nodes, tables = with_file(nodes, file)
     chain = with_choice(Chain(tuple(nodes), recipe.name))
     params, opened = believed(recipe, names, chain.init())
-    return Given(f"recipe {recipe.name}", chain, params | tables, opened)
+    return GivenBase(f"recipe {recipe.name}", chain, params | tables, opened)
 
 
 def believed(recipe: Recipe, names: Mapping[str, str], params: Params) -> tuple[Params, tuple[Open, ...]]:

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: a camera that is given, mosaic to picture, as the base.
+"""A camera that is given, mosaic to picture, as the base of clean+noisy pairs.
 
 Nothing in a camera says how the light on its sensor follows from the clean picture's colours and tones, nor
 how noisy the sensor was: this is fitted, and all that the camera does with the mosaic is believed.
@@ -11,12 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.camera import WHITE_BALANCE, with_cfa
-from jaxisp.gap.base.given import Given, Open, believed
+from jaxisp.gap.base.given import GivenBase, Open, believed
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, renamed, with_file
-from jaxisp.gap.base.plain_clean import Camera, narrowed
-from jaxisp.gap.base.raw_jpeg import with_choice
+from jaxisp.gap.base.mean import MeanFit
+from jaxisp.gap.base.plain_clean import narrowed
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Coordinate, build, plain_freedom
 from jaxisp.gap.simulator.render import Kept, render
@@ -31,24 +33,22 @@ _OPEN = {"shot": (2e-5, 0.1), "read": (3e-4, 0.2), "red_gain": (0.2, 8.0), "blue
 _ABSORBED = ("tone_curve", "color_matrix", "white_balance")
 
 
-def of_camera(
-    recipe: Recipe, effects: Sequence[Effect], plain: Camera, mean: Problem, fit_on: Sequence[int]
-) -> tuple[Given, Pairs]:
+def of_camera(recipe: Recipe, effects: Sequence[Effect], mean: MeanFit) -> tuple[GivenBase, Pairs]:
     """A camera as the base, behind what takes the clean picture to its sensor.
 
     Args:
-        recipe: the camera; where it takes white balance from the RAW, that of `plain` is taken.
+        recipe: the camera; where it takes white balance from the RAW, that of `mean` is taken.
         effects: whose names are theirs.
-        plain, mean: the plain base at its best, where the search for matrix and curve begins.
-        fit_on: the pairs that are fitted.
+        mean: the plain base at its best, where the search for matrix and curve begins.
 
     Returns:
         the base, and the pairs with what the sensor saw for light.
 
     Raises:
-        InputError: it is no such camera.
+        InputError: it does not turn a mosaic into encoded sRGB.
     """
     check_camera(recipe)
+    plain = mean.camera
     nodes, names = renamed([with_cfa(n, plain.cfa) for n in flat_nodes(recipe.chain.nodes, recipe)], effects)
     nodes, tables = with_file(nodes, plain.file)
     noisy = any(n.stochastic for n in nodes)
@@ -64,8 +64,8 @@ def of_camera(
     if not noisy:
         params[_NOISE] = BalancedNoise(red_gain=np.float32(1), blue_gain=np.float32(1))
         opened += tuple(Open(_NOISE, field, (), LogUniform(*law)) for field, law in _OPEN.items())
-    given = Given(f"camera {recipe.name}", chain, params, opened, (), absorbed)
-    seen = _seen(given, mean, fit_on)
+    given = GivenBase(f"camera {recipe.name}", chain, params, opened, (), absorbed)
+    seen = _seen(given, mean)
     given = dataclasses.replace(given, mean=tuple(narrowed(_freedom())))
     return given, seen
 
@@ -84,24 +84,27 @@ def _freedom() -> list[Coordinate]:
     return [dataclasses.replace(c, node=names[c.node]) for c in plain_freedom() if c.node in names]
 
 
-def _seen(given: Given, mean: Problem, fit_on: Sequence[int]) -> Pairs:
+def _seen(given: GivenBase, mean: MeanFit) -> Pairs:
     """The pairs with the light that the sensor saw: curve and matrix such that the camera's pictures are
     nearest to the real ones, pixel by pixel."""
     still = given.still
     start = {name: given.params[name] for name in still.init()} | {_MATRIX: _start(given, mean)}
-    problem = Problem(build(still, start, {}, _freedom(), []), mean.pairs)
-    fit(problem, problem.model.base_indices, fit_on, steps=4)
-    problem.weigh(problem.robust_weights(), problem.z)
-    fit(problem, problem.model.base_indices, fit_on, steps=4)
-    fitted = problem.model.moved(problem.z).shared
+    pairs, split = mean.objective.pairs, mean.objective.split
+    model = build(still, start, {}, _freedom(), [])
+    objective = PixelObjective.of(pairs, split)
+    at = objective.at(model, np.zeros(len(model.coordinates)))
+    at = fit(objective, at, model.base_indices, split.fit, steps=4).point
+    objective = objective.robust(at)
+    at = fit(objective, objective.at(model, at.z), model.base_indices, split.fit, steps=4).point
+    fitted = model.moved(at.z).shared
     scene = _scene()
     own: Params = {name: fitted[name] for name in scene.init()}
-    return mean.pairs.relit(lambda light: jnp.asarray(render(scene, own, {}, light, None, Kept())))
+    return pairs.relit(lambda light: jnp.asarray(render(scene, own, {}, light, None, Kept())))
 
 
-def _start(given: Given, mean: Problem) -> ColorMatrix:
+def _start(given: GivenBase, mean: MeanFit) -> ColorMatrix:
     """The plain base's colours, seen before the camera's own gains and matrix."""
-    plain = mean.model.moved(mean.z).shared
+    plain = mean.model.shared
     wanted = np.asarray(plain["color_matrix"].matrix, float)
     for own in given.params.values():
         if isinstance(own, ColorMatrix) and own is not given.params[_MATRIX]:

@@ -1,6 +1,8 @@
-"""Clean+noisy pairs: the base's mean, fitted pixel by pixel."""
+"""The mean of a noisy base, fitted pixel by pixel."""
 
+import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,7 +11,11 @@ from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.priors import plain_prior, usual_matrix
 from jaxisp.gap.base.sensor import find_sensor
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Pairs, Problem, to_steps
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.pairs import INNER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.simulator.model import Model
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
@@ -19,38 +25,56 @@ _ALIKE = 3.0
 """By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
 
 
-def fit_mean(
-    file: Jpeg | None, pairs: Pairs, fit_on: Sequence[int], cfa: str | None
-) -> tuple[Camera, Problem]:
-    """The noise-free base whose pictures are nearest to the noisy ones, pixel by pixel.
+class MeanFit(NamedTuple):
+    """A noise-free base at its best.
 
-    Returns:
-        the camera, its colour filter array found unless it is given, and the problem at the best point.
+    Attributes:
+        camera: what of it is chosen.
+        objective: mean square errors of pixels; its pairs have each scene's light as it was exposed.
+        point: where the fit ended.
     """
-    camera = Camera(file, cfa or "RGGB")
+
+    camera: Camera
+    objective: PixelObjective
+    point: Point
+
+    @property
+    def model(self) -> Model:
+        """With what was fitted as z = 0."""
+        return self.point.model.moved(self.point.z)
+
+
+def fit_mean(file: Jpeg | None, pairs: Pairs, split: Split, cfa: str | None) -> MeanFit:
+    """The noise-free base whose pictures are nearest to the noisy ones, pixel by pixel; its colour filter
+    array is found unless it is given."""
+    camera, fit_on = Camera(file, cfa or "RGGB"), split.fit
     pairs = _scaled(pairs)
     gains = _gains(pairs, fit_on)
     start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(np.clip(usual_matrix(gains), -4, 4)))}
-    problem = Problem(camera.mean_model(start), pairs)
+    model = camera.mean_model(start)
+    objective = PixelObjective.of(pairs, split)
+    at = objective.at(model, np.zeros(len(model.coordinates)))
     for steps in (5, 1, 1, 1, 1, 2):
-        _fit(problem, fit_on, gains, steps)
-        problem.pairs, change = _exposed(problem)
-        pairs = problem.pairs
-        problem.move_to(problem.z)
+        at = _fit(objective, at, gains, steps)
+        pairs, change = _exposed(objective, at)
+        objective = dataclasses.replace(objective, pairs=pairs)
+        at = objective.at(model, at.z)
         if change < _SETTLED and steps == 1:
             break
-    _fit(problem, fit_on, gains, 2)
-    fitted = problem.model.moved(problem.z).shared
+    at = _fit(objective, at, gains, 2)
+    fitted = model.moved(at.z).shared
     camera = find_sensor(camera, fitted, pairs, fit_on, cfa is None)
-    problem = Problem(camera.mean_model(fitted), pairs)
-    problem.weigh(problem.robust_weights())
-    _fit(problem, fit_on, gains, 4)
-    return camera, problem
+    model = camera.mean_model(fitted)
+    objective = PixelObjective.of(pairs, split)
+    z = np.zeros(len(model.coordinates))
+    objective = objective.robust(objective.at(model, z))
+    return MeanFit(camera, objective, _fit(objective, objective.at(model, z), gains, 4))
 
 
-def _fit(problem: Problem, fit_on: Sequence[int], gains: np.ndarray, steps: int) -> None:
-    prior = plain_prior(problem, gains, fit_on)
-    fit(problem, problem.model.base_indices, fit_on, steps=steps, prior=prior)
+def _fit(objective: PixelObjective, at: Point, gains: np.ndarray, steps: int) -> Point:
+    fit_on = objective.split.fit
+    prior = plain_prior(objective, at, gains, fit_on)
+    return fit(objective, at, at.model.base_indices, fit_on, steps=steps, prior=prior).point
 
 
 def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
@@ -73,17 +97,18 @@ def _scaled(pairs: Pairs) -> Pairs:
     return pairs.relit(lambda light: light * ratio.astype(np.float32)[:, None, None, None])
 
 
-def _exposed(problem: Problem) -> tuple[Pairs, float]:
+def _exposed(objective: PixelObjective, at: Point) -> tuple[Pairs, float]:
     """The pairs with each scene's light scaled to the exposure that its own picture shows, channel by channel
     (white is balanced for each scene), and the largest change that this was."""
-    pairs, probe = problem.pairs, 1.05
+    pairs, probe, weight = objective.pairs, 1.05, objective.weight
     columns = []
     for gains in 1 + (probe - 1) * np.eye(3, dtype=np.float32):
-        brighter = to_steps(problem.model.render(problem.z, pairs.light * gains)[problem.inner])
-        columns.append((brighter - problem.current) * problem.weight / (probe - 1))
+        brighter = to_steps(at.model.render(at.z, pairs.light * gains)[INNER])
+        columns.append((brighter - at.shown[0]) * weight / (probe - 1))
     stacked = np.stack(columns, 1).reshape(len(pairs.names), 3, -1)
     gram = np.einsum("nip,njp->nij", stacked, stacked, dtype=np.float64)
-    slope = np.einsum("nip,np->ni", stacked, problem.residual.reshape(len(stacked), -1), dtype=np.float64)
+    residual = objective.residual(at).reshape(len(stacked), -1)
+    slope = np.einsum("nip,np->ni", stacked, residual, dtype=np.float64)
     damping = 1e-3 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-9
     gain = np.clip(1 + np.linalg.solve(gram + damping, slope[..., None])[..., 0], 0.5, 2)
     gain = np.clip(gain / np.exp(np.log(gain).mean(0)), 0.5, 2).astype(np.float32)

@@ -1,53 +1,57 @@
-"""Clean+noisy pairs: the noise of the base, fitted to the statistics, and its mean beside it."""
+"""The noise of a base, fitted to the statistics, and its mean beside it."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from jaxisp.gap.base.plain_clean import balances, noise_freedom
+from jaxisp.gap.features.tolerances import noise_only
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.starts import noise_indices, told_by_noise
-from jaxisp.gap.objective.tolerances import noise_only
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.noise import informed_by_noise, noise_indices
 
 Rebase = Callable[[Model, np.ndarray], Model]
 """Puts the base's z into its parameters."""
 
 
-def fit_noise(problem: Any, fit_on: Sequence[int], rebase: Rebase) -> None:
+def fit_noise(objective: StatisticsObjective, at: Point, rebase: Rebase) -> tuple[StatisticsObjective, Point]:
     """The noise that explains the statistics best, with it the sensor's primaries where the base has them
-    free, then all that is free. Leaves the problem at z = 0 of the model found, in its final units."""
-    every = np.ones_like(noise_only())
+    free, then all that is free.
 
-    def settle(which: list[int], steps: int, keep: bool = False) -> None:
-        _settle(problem, which, fit_on, rebase, steps, keep)
+    Returns:
+        the objective in its final units, and z = 0 of the model found.
+    """
+    every, noise = np.ones_like(noise_only()), noise_indices(at.model)
+    objective = objective.counting(noise_only())
+    at = _settled(objective, at, noise, rebase, steps=5)
+    objective = objective.counting(every)
+    objective = objective.with_unit(objective.at(at.model, at.z))
+    at = _settled(objective, at, informed_by_noise(at.model), rebase, steps=4)
+    at = _settled(objective, at, at.model.base_indices, rebase, steps=3, keep=True)
+    objective = objective.with_unit(at, emphasise=True)
+    at = _settled(objective.counting(noise_only()), at, noise, rebase, steps=3)
+    objective = objective.counting(every)
+    return objective, objective.at(at.model, at.z)
 
-    problem.count(noise_only())
-    settle(noise_indices(problem.model), steps=5)
-    problem.count(every)
-    problem.set_unit()
-    settle(told_by_noise(problem.model), steps=4)
-    settle(problem.model.base_indices, steps=3, keep=True)
-    problem.set_unit(emphasise=True)
-    problem.count(noise_only())
-    settle(noise_indices(problem.model), steps=3)
-    problem.count(every)
 
-
-def _settle(
-    problem: Any, which: list[int], fit_on: Sequence[int], rebase: Rebase, steps: int, keep: bool
-) -> None:
+def _settled(
+    objective: StatisticsObjective,
+    at: Point,
+    which: list[int],
+    rebase: Rebase,
+    steps: int,
+    keep: bool = False,
+) -> Point:
     """Fit, and make where that ends the model's z = 0; `keep` works with the columns of the start."""
-    if not which:
-        return
-    part, seen = problem.take(fit_on), range(len(fit_on))
-    part.columns = {}
-    part.compute(which)
-    fit(part, which, seen, steps=steps, fresh=[] if keep else None)
-    problem.model = rebase(problem.model, part.z)
-    problem.move_to(np.zeros(len(problem.z)))
+    if which:
+        part, start = objective.fitted(objective.at(at.model, at.z))
+        start = part.compute(start, which)
+        z = fit(part, start, which, steps=steps, fresh=[] if keep else None).point.z
+        at = objective.at(rebase(at.model, z), np.zeros(len(z)))
+    return at
 
 
 def rebased(model: Model, z: np.ndarray) -> Model:

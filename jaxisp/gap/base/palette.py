@@ -1,6 +1,8 @@
-"""What colours say of a camera's colour matrix, and what it usually is where they say nothing."""
+"""A camera's colour matrix from the colours of its pictures, and the usual one where they have none."""
 
 import numpy as np
+
+from jaxisp.color import srgb_to_linear
 
 TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
 """What a phone's colour matrix has beside the identity; its rows keep white."""
@@ -19,7 +21,8 @@ def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
 
     They have less than a thirty-thousandth of their mean square in any direction but grey and one more;
     scenes of usual colours have some hundredths there, with a fortieth of their colours a grey one's share.
-    Noise is no colour: means of neighbouring blocks are multiplied, whose noise is independent.
+    Noise does not count as colour: the means of neighbouring blocks, whose noise is independent, are
+    multiplied.
 
     Args:
         light: (N, H, W, 3) linear, white balanced.
@@ -37,3 +40,22 @@ def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
     shared = first.T @ second
     spectrum = np.linalg.eigvalsh((shared + shared.T) / 2)
     return bool(spectrum[1] < _COLOURLESS * spectrum.sum())
+
+
+def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
+    """(3, 3) colour matrix by least squares in linear light over means of blocks.
+
+    Args:
+        light: (N, H, W, 3) white-balanced camera RGB.
+        pictures: (N, H, W, 3) encoded.
+        mask: (N, H, W).
+    """
+    linear = srgb_to_linear(pictures)
+
+    def means(a: np.ndarray) -> np.ndarray:
+        n, h, w, c = a.shape
+        a = a[:, : h // block * block, : w // block * block]
+        return a.reshape(n, h // block, block, w // block, block, c).mean((2, 4)).reshape(-1, c)
+
+    whole = means(mask[..., None].astype(np.float32))[:, 0] == 1
+    return np.linalg.lstsq(means(light)[whole], means(linear)[whole], rcond=None)[0].T

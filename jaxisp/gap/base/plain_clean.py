@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: the plain camera that is their base, and what of it is free."""
+"""The plain camera that is the base of clean+noisy pairs, and what of it is free."""
 
 import dataclasses
 import itertools
@@ -10,11 +10,19 @@ import numpy as np
 from jaxisp.encoder import encoder_of as stated_encoder
 from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.simulator.effects import Effect, Move
-from jaxisp.gap.simulator.model import COMPANDING, EXPANSION, HALVED, Coordinate, Model, build, plain_freedom
+from jaxisp.gap.simulator.model import (
+    COMPANDING,
+    EXPANSION,
+    MIXING,
+    Coordinate,
+    Model,
+    build,
+    plain_freedom,
+)
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.power import Gamma
 
 NOISE = ("shot", "read", "red_gain", "blue_gain")
@@ -22,8 +30,6 @@ _USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
 """What sensors need in daylight and indoors, and by how much that differs."""
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
-MIXING = "mixing"
-"""The node that takes what the sensor saw back to the clean picture's colours."""
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _COMPANDED = (COMPANDING, EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
@@ -112,7 +118,7 @@ class Camera:
 
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
-    """What the file did to the picture, by its header; rounding where that says nothing."""
+    """The file's encoder by its header; rounding where that is not modelled."""
     return stated_encoder(file, "file") or (stage("rounding"), {})
 
 

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what cameras' colours and tones are usually like, where the pairs do not say.
+"""What cameras' colours and tones are usually like, where the pairs do not say.
 
 A few crops of few colours leave a colour matrix and a tone curve open where they have nothing; without a
 prior the fit puts anything there, and other scenes come out in colours that no camera makes.
@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxisp.gap.base.palette import typical_matrix
-from jaxisp.gap.objective.pixels import Problem
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
 
 _SHARE = 0.5  # of a phone's matrix: a clean picture may be in sensor colours or in the display's
 _SPREAD = {"matrix": 0.35, "scale": 1.0, "bend": 0.08, "offset": 0.4}
@@ -46,16 +47,17 @@ def usual_matrix(gains: np.ndarray) -> np.ndarray:
     return typical_matrix(gains, _SHARE)
 
 
-def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> Prior:
+def plain_prior(objective: PixelObjective, at: Point, gains: np.ndarray, fit_on: Sequence[int]) -> Prior:
     """About the matrix and the curve of the plain base.
 
     Args:
-        problem: noise-free; all of its base is fitted.
+        objective: of pixels.
+        at: noise-free; all of its base is fitted.
         gains: (3,) of `usual_matrix`.
         fit_on: the pairs that are fitted.
     """
-    model = problem.model
-    at = {(c.node, c.move.field, c.move.index): k for k, c in enumerate(model.base)}
+    model = at.model
+    index = {(c.node, c.move.field, c.move.index): k for k, c in enumerate(model.base)}
     matrix = np.asarray(model.shared["color_matrix"].matrix, float)
     offsets = np.asarray(model.shared["tone_curve"].offsets, float)
     usual = usual_matrix(gains)
@@ -70,21 +72,21 @@ def plain_prior(problem: Problem, gains: np.ndarray, fit_on: Sequence[int]) -> P
     for i in range(3):
         for j in range(3):
             spread = gains[i] * _SPREAD["scale" if i == j else "matrix"]
-            add({at["color_matrix", "matrix", (i, j)]: 1.0}, usual[i, j] - matrix[i, j], spread)
-    curve = [at["tone_curve", "offsets", (i,)] for i in range(len(offsets))]
+            add({index["color_matrix", "matrix", (i, j)]: 1.0}, usual[i, j] - matrix[i, j], spread)
+    curve = [index["tone_curve", "offsets", (i,)] for i in range(len(offsets))]
     for i, k in enumerate(curve):
         add({k: 1.0}, -offsets[i], _SPREAD["offset"])
     for i in range(1, len(offsets) - 1):
         bend = {curve[i - 1]: 1.0, curve[i]: -2.0, curve[i + 1]: 1.0}
         add(bend, -float(offsets[i - 1] - 2 * offsets[i] + offsets[i + 1]), _SPREAD["bend"])
-    return Prior(np.array(rows), np.array(wanted), _variance(problem, fit_on))
+    return Prior(np.array(rows), np.array(wanted), _variance(objective, at, fit_on))
 
 
-def _variance(problem: Problem, fit_on: Sequence[int]) -> float:
+def _variance(objective: PixelObjective, at: Point, fit_on: Sequence[int]) -> float:
     """Of the mean of all tiles' errors, were tiles independent: noise averages out in them, what is wrong
     with tones does not."""
     which = list(fit_on)
-    residual, weight = problem.residual[which], problem.weight[which][..., :1]
+    residual, weight = objective.residual(at)[which], objective.weight[which][..., :1]
     sums, counts = (_tiles(a) for a in (residual * weight, weight**2))
     whole = counts[..., 0] > 0.1 * _TILE**2
     means = sums[whole] / counts[whole]

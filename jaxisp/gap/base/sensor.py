@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what sensor and what demosaicker are nearest to the noisy pictures."""
+"""The sensor and the demosaicker that are nearest to noisy pictures."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,8 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.objective.pixels import Pairs, Problem
-from jaxisp.gap.parallel import each
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.simulator.model import ROOTED
 from jaxisp.pipeline import Params
 from jaxisp.stages.choice import DEMOSAICKERS
@@ -35,13 +36,13 @@ class _View:
 
     def error(self, camera: Camera, params: Params) -> float:
         """Mean square, all channels together."""
-        problem = Problem(camera.mean_model(params), self.pairs)
-        residual = problem.residual
+        objective, model = PixelObjective.of(self.pairs), camera.mean_model(params)
+        current = objective.picture(model, np.zeros(len(model.coordinates)))
         if self.chroma:
-            smooth = gaussian_filter(problem.current[..., 1:], (0, self.chroma, self.chroma, 0))
-            current = np.concatenate([problem.current[..., :1], smooth], -1)
-            residual = (problem.target - current) * problem.weight
-        return float(problem.mean_squares(residual).mean())
+            smooth = gaussian_filter(current[..., 1:], (0, self.chroma, self.chroma, 0))
+            current = np.concatenate([current[..., :1], smooth], -1)
+        residual = (objective.target - current) * objective.weight
+        return float(objective.mean_squares(residual).mean())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,5 +154,5 @@ def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
 
 def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
     """The first of those whose error is the least but for a hair."""
-    errors = np.array(each(lambda choice: view.error(choice, params), choices))
+    errors = np.array(parallel_map(lambda choice: view.error(choice, params), choices))
     return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]

@@ -17,11 +17,12 @@ import optax
 from flax import nnx
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.gap.case import Case, Gap, Split
+from jaxisp.gap.case import Case, Gap
 from jaxisp.gap.downstream.networks import programs
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import Problem
-from jaxisp.gap.objective.statistics import StatisticsProblem
+from jaxisp.gap.objective.pixels import PixelObjective, tiled
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.pairs import INNER
 from jaxisp.gap.search.refit import searched
 from jaxisp.models.layers import conv
 from jaxisp.train.step import split_model
@@ -31,40 +32,39 @@ _STEPS, _BATCH, _PATCH = 300, 8, 48
 _AROUND = 8.0  # px: the surroundings that local tone follows
 
 
-def reducible(case: Case, gap: Gap, after: float, refits: Sequence[float], least: float) -> dict[str, Any]:
+def reducible(case: Case, gap: Gap, point: Point, after: float, refits: Sequence[float]) -> dict[str, Any]:
     """The lowest gap that a flexible model reached on the held-out pairs, and what the causes are of that.
 
     Args:
-        case: its problem stands where the causes have taken it.
+        case: what is diagnosed.
         gap: before any cause.
-        after: with the causes.
+        point: where the causes lead.
+        after: the gap there.
         refits: with effects that were fitted, believed or not.
-        least: by how much, as a share of the unit, the gap of a camera that lacks nothing may be lowered.
 
     Returns:
         {"best": that gap, "how": which model reached it, "explained": the share of `before - best` that the
-        causes close; None where that is no more than nulls have}.
+        causes close; None if cameras that lack nothing have as much}.
     """
-    problem, split = case.problem, case.split
     found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
-    if isinstance(problem, Problem):  # all effects fit the statistics of a few scenes, and no others
-        found["all effects at once"] = _together(problem, case.offered, split)
-        found["a small network on what is left"] = _network_leaves(problem, split)
-    elif isinstance(problem, StatisticsProblem):
-        found["what the fitted pairs still differ in, taken off"] = problem.left_by_shift(split)
+    if case.pixels is not None:  # all effects fit the statistics of a few scenes, and no others
+        found["all effects at once"] = _together(case.pixels, point, case.offered)
+        found["a small network on what is left"] = _network_leaves(case.pixels, point)
+    elif case.statistics is not None:
+        found["what the fitted pairs still differ in, taken off"] = case.statistics.left_by_shift(point)
     how = min(found, key=lambda name: found[name])
     could = gap.before - found[how]
-    explained = (gap.before - after) / could if could > least * gap.unit else None
-    return {"best": found[how], "how": how, "explained": explained}
+    beyond = could > case.criteria.null_drop * gap.unit
+    return {"best": found[how], "how": how, "explained": (gap.before - after) / could if beyond else None}
 
 
-def _together(problem: Any, names: Sequence[str], split: Split) -> float:
+def _together(pixels: PixelObjective, point: Point, names: Sequence[str]) -> float:
     """The held-out gap with every effect fitted together with the base; but for what is searched for."""
-    gridded = searched(problem, names)
-    which = [*problem.model.base_indices, *(i for i in problem.model.indices(names) if i not in gridded)]
-    part = problem.take(split.fit)
-    fit(part, which, range(len(split.fit)), steps=1)
-    return float(np.nanmean(problem.take(split.held_out).units(part.z)))
+    model, gridded = point.model, searched(point.model, names)
+    which = [*model.base_indices, *(i for i in model.indices(names) if i not in gridded)]
+    z = fit(*pixels.fitted(point), which, steps=1).point.z
+    held, there = pixels.held_out(point)
+    return float(np.nanmean(held.units(held.at(there.model, z))))
 
 
 class _Network(nnx.Module):
@@ -81,31 +81,32 @@ class _Network(nnx.Module):
         return self.last(x)
 
 
-def _network_leaves(problem: Problem, split: Split) -> float:
+def _network_leaves(pixels: PixelObjective, point: Point) -> float:
     """The held-out gap where a network, taught by the fitted pairs, predicts what is left of the residual
     from the simulator's picture, the mosaic, the place in frame and pattern, and the surroundings."""
-    seen = _seen(problem)
-    residual = problem.target - problem.current
-    fitted, held = list(split.fit), list(split.held_out)
-    scale = float(np.sqrt(np.mean(problem.residual[fitted] ** 2))) + 1e-6
-    learn = seen[fitted], residual[fitted] / scale, problem.weight[fitted] ** 2
+    seen = _seen(pixels, point)
+    residual = pixels.target - point.shown[0]
+    fitted, held = list(pixels.split.fit), list(pixels.split.held_out)
+    scale = float(np.sqrt(np.mean(pixels.residual(point)[fitted] ** 2))) + 1e-6
+    learn = seen[fitted], residual[fitted] / scale, pixels.weight[fitted] ** 2
     apply, params = _learnt(*learn)
     predicted = np.concatenate([np.asarray(apply(params, seen[[i]])) for i in held])
-    left = ((residual[held] - scale * predicted) * problem.weight[held]) ** 2
-    return float(np.nanmean(problem.take(held).tiled(left.sum(-1))))
+    left = ((residual[held] - scale * predicted) * pixels.weight[held]) ** 2
+    return float(np.nanmean(tiled(left.sum(-1), pixels.counts[held])))
 
 
-def _seen(problem: Problem) -> np.ndarray:
+def _seen(pixels: PixelObjective, point: Point) -> np.ndarray:
     """(N, h, w, C) what the network is told of each pixel, each about as large as 1."""
-    n, h, w, _ = problem.shape
-    light = np.asarray(problem.pairs.light)[problem.inner]
-    luma = problem.current[..., 0] / 255
+    (current,) = point.shown
+    n, h, w, _ = current.shape
+    light = np.asarray(pixels.pairs.light)[INNER]
+    luma = current[..., 0] / 255
     y, x = np.mgrid[-1 : 1 : h * 1j, -1 : 1 : w * 1j]
     rows, columns = np.mgrid[:h, :w] % 2
     places = np.broadcast_to(np.stack([y, x, y**2 + x**2, rows, columns], -1), (n, h, w, 5))
     around = gaussian_filter(luma, (0, _AROUND, _AROUND))[..., None]
     own = light.reshape(n, h, w, -1)
-    return np.concatenate([problem.current / 255, own, around, places], -1).astype(np.float32)
+    return np.concatenate([current / 255, own, around, places], -1).astype(np.float32)
 
 
 def _learnt(seen: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[Any, Any]:

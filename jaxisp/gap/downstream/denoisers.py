@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,13 @@ import numpy as np
 import optax
 from flax import nnx
 
-from jaxisp.gap.base.raw_jpeg import TILES
-from jaxisp.gap.case import Case, Downstream
+from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.downstream.networks import programs
-from jaxisp.gap.objective.pixels import BORDER
+from jaxisp.gap.downstream.options import Downstream
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.crops import TILES
+from jaxisp.gap.pairs.pairs import BORDER
 from jaxisp.gap.pairs.scenes import scene_name
-from jaxisp.gap.simulator.model import Model
 from jaxisp.io.files import atomic_write
 from jaxisp.metrics import match_moments, psnr, ssim
 from jaxisp.models import count_parameters, make_model
@@ -38,7 +39,6 @@ METRIC = (
     "PSNR [dB] and SSIM of the denoised held-out pairs in encoded sRGB, against the clean pictures in their "
     "tones, these given the mean and standard deviation of what they are compared with, per channel"
 )
-Tick = Callable[[int, int, str], Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +65,7 @@ class _Task:
 
 
 def measure_downstream(
-    case: Case, models: Mapping[str, tuple[Model, np.ndarray]], how: Downstream, tick: Tick
+    case: Case, models: Mapping[str, Point], how: Downstream, tick: Tick
 ) -> dict[str, Any]:
     """Train and measure denoisers, one arm a simulator and one more on the real pairs that were fitted.
 
@@ -75,7 +75,7 @@ def measure_downstream(
 
     Args:
         case: clean+noisy pairs, with its `reference`.
-        models: the simulators by the names of their arms, each with the point where it stands.
+        models: by the names of the arms, where their simulators stand.
         how: the training.
         tick: called with (done, total, text).
 
@@ -86,8 +86,8 @@ def measure_downstream(
     """
     if not _apart(case):
         return {"skipped": "all pairs show one scene: what is held out would be what was trained on"}
-    tasks = {name: _simulated(case, *found) for name, found in models.items()}
-    tasks["real"] = _task(case, case.problem.pairs.pictures[None])
+    tasks = {name: _simulated(case, found) for name, found in models.items()}
+    tasks["real"] = _task(case, case.pairs.pictures[None])
     total = len(tasks) * len(how.seeds)
     arms: dict[str, Any] = {}
     kept = _kept(how.keep)
@@ -118,7 +118,7 @@ def measure_downstream(
 
 def _apart(case: Case) -> bool:
     """Whether fitted and held-out pairs show different scenes."""
-    scenes = [scene_name(name).split(TILES)[0] for name in case.problem.pairs.names]
+    scenes = [scene_name(name).split(TILES)[0] for name in case.pairs.names]
     return not {scenes[i] for i in case.split.fit} & {scenes[i] for i in case.split.held_out}
 
 
@@ -135,9 +135,10 @@ def _gain(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]
     return _row(np.stack([np.array(after[k]) - np.array(before[k]) for k in ("psnr", "ssim")], -1).tolist())
 
 
-def _simulated(case: Case, model: Model, z: np.ndarray) -> _Task:
-    problem = case.problem
-    draws = [model.render(z, problem.pairs.light, problem.keys(100 + k)) for k in range(_DRAWS)]
+def _simulated(case: Case, point: Point) -> _Task:
+    assert case.statistics is not None, "clean+noisy pairs are compared by statistics"
+    measure = case.statistics.measure
+    draws = [measure.rendered(point.model, point.z, 100 + k) for k in range(_DRAWS)]
     return _task(case, np.stack(draws))
 
 
@@ -145,11 +146,11 @@ def _task(case: Case, noisy: np.ndarray) -> _Task:
     fitted, held = list(case.split.fit), list(case.split.held_out)
     assert case.reference is not None, "clean+noisy pairs have one"
     clean = case.reference
-    return _Task(noisy[:, fitted], clean[fitted], case.problem.pairs.pictures[held], clean[held])
+    return _Task(noisy[:, fitted], clean[fitted], case.pairs.pictures[held], clean[held])
 
 
 def _kept(path: Path | None) -> dict[str, list[float]]:
-    """The figures of an earlier call; none where there is no such file, or not a whole one."""
+    """The figures of an earlier call; empty if the file is missing or damaged."""
     try:
         found = json.loads(path.read_text()) if path else {}
     except (OSError, ValueError):

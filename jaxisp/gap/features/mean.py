@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: maps of what the mean residual may follow, computed from the noise-free picture.
+"""Maps that the mean residual may follow, computed from the noise-free picture.
 
 By NumPy: they are worked out once a set of pairs, which takes less time than to compile them.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.arrays.stencils import gaussian_blur
-from jaxisp.gap.parallel import each
+from jaxisp.gap.parallel import parallel_map
 
 CHANNELS = ("Y", "Cb", "Cr")
 _LUMA = tuple(255 * k / 7 for k in range(8))
@@ -132,7 +132,7 @@ def normalised_regressors(s: Any, mask: Any) -> list[tuple[Maps, ...]]:
         (K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
         mean square], and (K, K) what turns these amplitudes into the coefficients of a regression.
     """
-    return each(lambda pair: _of_picture(*pair), list(zip(np.asarray(s), np.asarray(mask))))
+    return parallel_map(lambda pair: _of_picture(*pair), list(zip(np.asarray(s), np.asarray(mask))))
 
 
 def _of_picture(s: np.ndarray, mask: np.ndarray) -> tuple[Maps, ...]:

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: how the noise of one picture is spread, correlated and shaped, and its grids."""
+"""The noise of one picture: its spread, correlation, tails and grids."""
 
 import itertools
 from typing import Any
@@ -11,7 +11,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.stencils import gaussian_blur
 from jaxisp.color import ycbcr_to_rgb_planes
 from jaxisp.gap.features.mean import CHANNELS, Found, blurred_planes, named, tents
-from jaxisp.gap.features.quantization import Codes, averages, comb_part, cosine, sums
+from jaxisp.gap.features.quantization import Quantization, averages, cosine, quantization_part, sums
 
 LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
 """Where the tents of luma stand that noise is measured in: the dark has more to tell."""
@@ -37,7 +37,7 @@ def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
     return mask / (1 + (activity / 2.0) ** 2) ** 2
 
 
-def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Codes) -> Found:
+def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Quantization) -> Found:
     """Spread, spectrum, correlation, lines, tails and grids of one residual's noise, r; it, the picture y and
     the noise-free one s are (h, w, 3)."""
     r, y, s = (materialize(jnp.moveaxis(a, -1, 0)) for a in (r, y, s))  # else all that reads one would step
@@ -49,7 +49,7 @@ def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: 
     high, light = materialize(r - smooth[2]), s[0]
     found = _spread(high, bands, light, mask, flat) | _correlations(high, flat, light) | _lines(r, flat)
     found |= _tails(whole[0], light, flat) | _grids(y, flat) | _levels(y, flat)
-    return found | comb_part(y, s, flat, seen)
+    return found | quantization_part(y, s, flat, seen)
 
 
 def _without_outliers(high: jax.Array, flat: jax.Array) -> jax.Array:
@@ -183,7 +183,7 @@ def _grids(picture: jax.Array, flat: jax.Array) -> Found:
         by_phase = jnp.matmul(jump, phase, precision="highest") / phase.sum(0)
         found[named("logvar block_phase {}{}", [of], range(8))] = _log(by_phase, by_phase.mean(), 0.01)
     h, w = (n // 8 * 8 for n in flat.shape)
-    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges are no noise
+    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges must not count as noise
     near = materialize(jnp.exp(-((_blocks(picture[:, :h, :w]) / 1.5) ** 2)))
     near = jnp.einsum("b,cbk->ck", even, near, precision="highest") / (even.sum() + 1e-3)
     band = (_ORDER // 4).clip(max=2).ravel() == np.arange(3)[:, None]

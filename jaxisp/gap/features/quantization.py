@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what the sensor read, as far as a picture still shows it, and how its levels are spaced.
+"""Quantization: the values that the sensor read, as far as a picture still shows them, and their spacing.
 
 A converter of few levels leaves differences of neighbours that are multiples of one step; tone curve and
 matrix are undone with those of the fitted base, which need only be about right for that.
@@ -13,7 +13,7 @@ import numpy as np
 from jaxisp import cfa as bayer
 from jaxisp.arrays.barriers import materialize
 from jaxisp.color import ycbcr_to_rgb_planes
-from jaxisp.gap.base.plain_clean import MIXING
+from jaxisp.gap.simulator.model import MIXING
 from jaxisp.pipeline import Params, run, stage
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
@@ -21,10 +21,10 @@ FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
 show at multiples of their number."""
 _TABLE = 256
 _FEW = 4
-_BRIGHT = 110.0  # luma above which shot noise leaves nothing of a comb
+_BRIGHT = 110.0  # luma above which shot noise hides a comb
 
 
-class Codes(NamedTuple):
+class Quantization(NamedTuple):
     """From a picture back to what the sensor read.
 
     Attributes:
@@ -38,7 +38,9 @@ class Codes(NamedTuple):
     sites: jax.Array
 
 
-def codes(shared: Params, cfa: str, gains: tuple[float, float], shape: tuple[int, int], corner: int) -> Codes:
+def quantization(
+    shared: Params, cfa: str, gains: tuple[float, float], shape: tuple[int, int], corner: int
+) -> Quantization:
     """Of the base's parameters; `corner` is where the frame of `shape` starts in the picture."""
     linear = np.linspace(0, 1.3, 2048, dtype=np.float32)
     curve = stage("spline_curve", name="tone_curve")
@@ -52,17 +54,19 @@ def codes(shared: Params, cfa: str, gains: tuple[float, float], shape: tuple[int
     inverse = np.linalg.pinv(matrix, rcond=0.02) / np.array([gains[0], 1.0, gains[1]])[:, None]
     whole = (shape[0] + corner, shape[1] + corner)
     sites = np.stack([np.asarray(m, np.float32) for m in bayer.masks(whole, cfa)], -1)[corner:, corner:]
-    return Codes(*(jnp.asarray(a, jnp.float32) for a in (light, inverse, sites)))
+    return Quantization(*(jnp.asarray(a, jnp.float32) for a in (light, inverse, sites)))
 
 
-def unknown_codes(shape: tuple[int, int]) -> Codes:
+def unknown_quantization(shape: tuple[int, int]) -> Quantization:
     """Where nothing is known of the camera: its picture is taken for what the sensor read."""
     rows, columns = np.indices(shape) % 2
     sites = np.stack([rows * columns, rows ^ columns, (1 - rows) * (1 - columns)], -1)
-    return Codes(jnp.linspace(0, 1, _TABLE), jnp.eye(3), jnp.asarray(sites, jnp.float32))
+    return Quantization(jnp.linspace(0, 1, _TABLE), jnp.eye(3), jnp.asarray(sites, jnp.float32))
 
 
-def comb_part(y: jax.Array, s: jax.Array, weight: jax.Array, seen: Codes) -> dict[tuple[str, ...], jax.Array]:
+def quantization_part(
+    y: jax.Array, s: jax.Array, weight: jax.Array, seen: Quantization
+) -> dict[tuple[str, ...], jax.Array]:
     """The characteristic function of differences of next neighbours of one colour: values by their names.
 
     Args:

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what of a picture's residual repeats in the other scenes."""
+"""The part of a residual that repeats from scene to scene."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.gap.features.mean import CHANNELS, Found, blurred_planes, named
 from jaxisp.gap.features.quantization import averages
 
-_PLAIN, _PLAINLY = 0.05, 0.2  # a correlation from scene to scene that is no chance: of pixels, of spots
+_PLAIN, _PLAINLY = 0.05, 0.2  # correlations from scene to scene above chance: of pixels, of spots
 _FEW = 2.5  # standard deviations of noise beyond which a pixel counts no more among those around
 
 
@@ -33,7 +33,7 @@ def _fine_and_spots(r: jax.Array) -> tuple[jax.Array, jax.Array]:
     """(C, h, w) each: what differs from pixel to pixel, in standard deviations; spots of 5 to 20 px."""
     high = materialize(r - blurred_planes(r, 1.5))
     size = jnp.sqrt(averages(high**2, jnp.ones((1, *high.shape[1:]), high.dtype)))[0, :, None, None]
-    even = materialize(jnp.clip(r, -_FEW * size - 0.1, _FEW * size + 0.1))  # a hot pixel is no spot
+    even = materialize(jnp.clip(r, -_FEW * size - 0.1, _FEW * size + 0.1))  # hot pixels are not spots
     return jnp.clip(high / (size + 0.1), -4, 4), blurred_planes(even, 2.0) - blurred_planes(even, 8.0)
 
 

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: numbers that say how a real picture's residual differs from a simulated one's.
+"""Statistics of residuals: numbers that say how a real picture differs from a simulated one.
 
 Pixels of two noise realisations never agree, so statistics of the residual are compared: what its mean
 follows (light, radius, edges, hue ...), see `mean`, how its noise is spread, correlated, shaped and
@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxisp.gap.features.mean import CHANNELS, Maps, mean_names, named
 from jaxisp.gap.features.noise import noise_part
-from jaxisp.gap.features.quantization import Codes, unknown_codes
+from jaxisp.gap.features.quantization import Quantization, unknown_quantization
 from jaxisp.gap.features.repeats import pattern_part
 
 
@@ -53,7 +53,7 @@ def features(
     mask: jax.Array,
     maps: Sequence[tuple[Maps, ...]],
     frames: Frames,
-    seen: Codes,
+    seen: Quantization,
 ) -> np.ndarray:
     """(N, F) statistics of pictures (N, h, w, 3) against noise-free ones, all in Y'CbCr in 8-bit steps.
 
@@ -92,7 +92,7 @@ def _regressed(
 def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:
     """Compile the parts of `features` that take longest, for so many pictures of (h, w) each."""
     black, mask = jnp.zeros((*shape, 3)), jnp.zeros(shape)
-    _noise_part(black, black, black, mask, unknown_codes(shape))
+    _noise_part(black, black, black, mask, unknown_quantization(shape))
     for n in counts:
         whole = jnp.zeros((n, *black.shape))
         _patterns(whole, whole, jnp.zeros((n, *shape)), jnp.zeros((n, n)))
@@ -163,7 +163,7 @@ def _others() -> tuple[tuple[str, ...], np.ndarray]:
     give."""
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
-    noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_codes((32, 32)))
+    noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_quantization((32, 32)))
     many = jax.ShapeDtypeStruct((2, 32, 32, 3), jnp.float32)
     masks, pairs = (jax.ShapeDtypeStruct(n, jnp.float32) for n in ((2, 32, 32), (2, 2)))
     patterns = jax.eval_shape(pattern_part, many, many, masks, pairs)

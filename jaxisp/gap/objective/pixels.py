@@ -1,236 +1,243 @@
-"""RAW+JPEG pairs: what the simulator's picture lacks, and how it changes with each move.
+"""Pixel errors: what the simulator's pictures lack, and how they change with each move.
 
-Everything is least squares on residuals in Y'CbCr, in 8-bit steps. Columns are secants, differences of two
-pictures: they exist where a derivative does not (medians, choices, roundings).
+Least squares on residuals in Y'CbCr, in 8-bit steps. Columns are secants, differences of two pictures: they
+exist where a derivative does not (medians, choices, roundings).
 """
 
-import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from jaxisp.color import rgb_to_ycbcr_planes, srgb_to_linear
-from jaxisp.encoder import encoder_of
+from jaxisp.gap.axes import Rows
 from jaxisp.gap.axes.regression import where
-from jaxisp.gap.case import Ladders, Rows
-from jaxisp.gap.pairs.scenes import by_scene, scene_name
-from jaxisp.gap.parallel import each
-from jaxisp.gap.simulator.model import Choice, Model
+from jaxisp.gap.objective.protocol import NormalEquations, Point
+from jaxisp.gap.pairs.pairs import INNER, Pairs, to_steps
+from jaxisp.gap.pairs.scenes import Split, scene_name
+from jaxisp.gap.pairs.stored import as_stored
+from jaxisp.gap.parallel import parallel_map
+from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io import Jpeg
-from jaxisp.pipeline import run
 
-BORDER = 8
-
-
-@dataclasses.dataclass(frozen=True)
-class Pairs:
-    """What is compared: `light` (N, H, W) mosaics or (N, H, W, 3) scenes, `pictures` (N, H, W, 3) encoded,
-    and `mask` (N, H, W) of the pixels that count; `again` is a scene's light as the compression of its file
-    leaves it once more, None where there was none."""
-
-    names: tuple[str, ...]
-    light: jax.Array
-    pictures: np.ndarray
-    mask: np.ndarray
-    again: jax.Array | None = None
-
-    def relit(self, change: Callable[[jax.Array], jax.Array]) -> "Pairs":
-        """With this done to the light."""
-        again = None if self.again is None else change(self.again)
-        return dataclasses.replace(self, light=change(self.light), again=again)
-
-    def take(self, which: Sequence[int]) -> "Pairs":
-        index = np.asarray(which)
-        names = tuple(self.names[i] for i in index)
-        own = self.relit(lambda light: light[index])
-        return dataclasses.replace(own, names=names, pictures=self.pictures[index], mask=self.mask[index])
+_TILE = 60  # px a side of what intervals are drawn from, about
 
 
-def to_steps(pictures: np.ndarray) -> np.ndarray:
-    """(..., 3) RGB in [0, 1] to (..., 3) Y'CbCr in 8-bit steps, float32."""
-    return np.asarray(_to_steps(pictures))
-
-
-@jax.jit
-def _to_steps(pictures: jax.Array) -> jax.Array:
-    return 255 * jnp.stack(rgb_to_ycbcr_planes(*jnp.moveaxis(jnp.asarray(pictures, jnp.float32), -1, 0)), -1)
-
-
-class Problem:
-    """A model before pairs, with the columns that have been computed at a point.
+@dataclasses.dataclass(frozen=True, eq=False)
+class PixelObjective:
+    """Mean square errors of pictures, pixel by pixel.
 
     Attributes:
-        z: the point.
-        residual: (N, P) target less picture there, masked pixels 0.
-        weight: (N, P) 1 where a pixel counts.
-        choices: what the base may be besides, that no number says.
-        rival: that of the choices beside which effects are screened too, if there is one: what the base is
-            explained by may be what an effect does.
-        references: the values of coordinates at which an effect does what the file does anyway, so that
-            its gain is counted from there.
-        earlier: the row and column where blocks of an earlier compression began, (0, 0) of none.
+        pairs: light, and the pictures that are wanted.
+        split: which are fitted and which held out.
+        target: (N, h, w, 3) the wanted pictures in steps, their border cut off.
+        counts: (N,) the sum of what pixels count.
+        weight: (N, h, w, 3) root of what a pixel counts.
+        choices, rival, references: see `Evidence`.
+        earlier: row and column where 8x8 blocks of an earlier compression began, (0, 0) of none.
     """
 
-    def __init__(
-        self, model: Model, pairs: Pairs, choices: Sequence[Choice] = (), rival: Choice | None = None
-    ) -> None:
-        self.model, self.pairs, self.choices, self.rival = model, pairs, tuple(choices), rival
-        self.references: dict[int, float] = {}
-        self.earlier = (0, 0)
-        inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
-        self.inner = inner
-        self.target = to_steps(pairs.pictures[inner])
-        self.shape = self.target.shape
-        self.weigh(np.ones(self.shape[:-1]))
+    pairs: Pairs
+    split: Split
+    target: np.ndarray
+    counts: np.ndarray
+    weight: np.ndarray
+    choices: Sequence[Variant] = ()
+    rival: Variant | None = None
+    references: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    earlier: tuple[int, int] = (0, 0)
 
-    def take(self, which: Sequence[int]) -> "Problem":
-        """The same problem, at the same point, of some of the pairs."""
-        index = np.asarray(which)
-        part = copy.copy(self)
-        part.model, part.pairs = self.model.take(which), self.pairs.take(which)
-        part.choices = tuple(choice.take(which) for choice in self.choices)
-        part.rival = None if self.rival is None else self.rival.take(which)
-        for name in ("target", "counts", "weight", "current", "residual"):
-            setattr(part, name, getattr(self, name)[index])
-        part.shape = part.target.shape
-        part.columns = {i: column[index] for i, column in self.columns.items()}
-        return part
+    follows = False
 
-    fresh: Sequence[int] = ()
+    @classmethod
+    def of(
+        cls,
+        pairs: Pairs,
+        split: Split | None = None,
+        choices: Sequence[Variant] = (),
+        rival: Variant | None = None,
+    ) -> "PixelObjective":
+        """Of pairs whose pixels all count alike; all pairs are fitted unless a split is given."""
+        target = to_steps(pairs.pictures[INNER])
+        split = Split(tuple(range(len(target))), ()) if split is None else split
+        counts, weight = _weights(np.ones(target.shape[:-1]), pairs, target)
+        return cls(pairs, split, target, counts, weight, tuple(choices), rival)
 
-    def placed(self, z: np.ndarray, i: int, value: float) -> np.ndarray:
-        """The point with one coordinate elsewhere."""
-        moved = z.copy()
-        moved[i] = value
-        return moved
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.pairs.names
 
-    def starts(self, own: Sequence[int]) -> list[Ladders]:
-        """Where to begin fitting these coordinates: where the problem is, if there is nothing to choose."""
-        return []
+    def weighed(self, weights: np.ndarray) -> "PixelObjective":
+        """With (N, h, w) what each pixel counts, beside the mask."""
+        counts, weight = _weights(weights, self.pairs, self.target)
+        return dataclasses.replace(self, counts=counts, weight=weight)
 
-    def noisier(self, z: np.ndarray, i: int) -> Ladders:
-        """The point alone: there is no noise to imitate anything with."""
-        return [[z]]
+    def robust(self, point: Point) -> "PixelObjective":
+        """Weighed by `robust_weights` of the residual at a point."""
+        return self.weighed(self.robust_weights(self.target - point.shown[0]))
 
-    def choose(self, choice: Choice) -> None:
-        """Put a choice into the base, and stay at the same point."""
-        self.model = self.model.chosen(choice)
-        self.move_to(self.z)
-
-    def weigh(self, weights: np.ndarray, z: np.ndarray | None = None) -> None:
-        """Set how much each pixel (N, h, w) counts, beside the mask, and go to a point: z = 0 if None."""
-        counted = weights * self.pairs.mask[self.inner]
-        self.counts = counted.reshape(len(counted), -1).sum(1)
-        self.weight = np.broadcast_to(np.sqrt(counted, dtype=np.float32)[..., None], self.shape)
-        self.move_to(np.zeros(len(self.model.coordinates)) if z is None else z)
-
-    def robust_weights(self, difference: np.ndarray | None = None) -> np.ndarray:
-        """(N, h, w) weights that fall where the residual around a pixel is large against what is usual.
+    def robust_weights(self, difference: np.ndarray) -> np.ndarray:
+        """(N, h, w) weights that fall where the difference (N, h, w, 3) around a pixel is large against what
+        is usual.
 
         Another demosaicker leaves large errors at few edges, which would hide all else.
         """
-        difference = self.target - self.current if difference is None else difference
         around = uniform_filter((difference**2).sum(-1), (0, 5, 5))
-        usual = np.median(around[self.pairs.mask[self.inner]])
+        usual = np.median(around[self.pairs.mask[INNER]])
         return 1 / (1 + around / (4 * usual + 1e-9)).astype(np.float32)
 
-    def rendered(self, z: np.ndarray) -> np.ndarray:
-        """(N, H, W, 3) encoded."""
-        return self.model.render(z, self.pairs.light)
-
-    def picture(self, z: np.ndarray) -> np.ndarray:
+    def picture(self, model: Model, z: np.ndarray) -> np.ndarray:
         """(N, h, w, 3) Y'CbCr in steps, its border cut off."""
-        return to_steps(self.rendered(z)[self.inner])
+        return to_steps(self.rendered(model, z)[INNER])
 
-    def units(self, z: np.ndarray, side: int = 60) -> np.ndarray:
+    def rendered(self, model: Model, z: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) encoded."""
+        return model.render(z, self.pairs.light)
+
+    def at(self, model: Model, z: np.ndarray) -> Point:
+        z = np.asarray(z, float)
+        return self._point(model, z, self.picture(model, z))
+
+    def _point(
+        self,
+        model: Model,
+        z: np.ndarray,
+        current: np.ndarray,
+        columns: Mapping[int, np.ndarray] | None = None,
+    ) -> Point:
+        errors = self.mean_squares((self.target - current) * self.weight)
+        return Point(model, z, errors, (current,), columns or {})
+
+    def residual(self, point: Point) -> np.ndarray:
+        """(N, h, w, 3) target less picture, weighed; masked pixels 0."""
+        return np.asarray((self.target - point.shown[0]) * self.weight)
+
+    def mean_squares(self, residual: np.ndarray) -> np.ndarray:
+        """(N,) of weighed residuals, all channels together."""
+        flat = residual.reshape(len(residual), -1)
+        return np.asarray(np.einsum("np,np->n", flat, flat, dtype=np.float64) / self.counts)
+
+    def compute(self, point: Point, which: Sequence[int], steps: Mapping[int, float] | None = None) -> Point:
+        def column(i: int) -> np.ndarray:
+            behind, ahead, step = point.model.probe(point.z, i, (steps or {}).get(i))
+            before = point.shown[0] if (behind == point.z).all() else self.picture(point.model, behind)
+            return np.asarray((self.picture(point.model, ahead) - before) * (self.weight / np.float32(step)))
+
+        new = sorted(set(which) - set(point.columns))
+        return point.with_columns({**point.columns, **dict(zip(new, parallel_map(column, new)))})
+
+    def normal(self, point: Point, which: Sequence[int]) -> NormalEquations:
+        n = len(self.target)
+        if not which:
+            return NormalEquations(np.zeros((n, 0, 0)), np.zeros((n, 0)))
+        stacked = np.stack([point.columns[i].reshape(n, -1) for i in which], 1)
+        scale = 1 / self.counts[:, None]
+        gram, right = map(np.asarray, _products(stacked, self.residual(point).reshape(n, -1)))
+        return NormalEquations(gram * scale[..., None], right * scale)
+
+    def follow(self, point: Point, to: Point) -> Point:
+        """`to` as it is: columns of pixels are computed anew."""
+        return to
+
+    def take(self, which: Sequence[int]) -> "PixelObjective":
+        """The objective of some of the pairs."""
+        index = np.asarray(which)
+        return dataclasses.replace(
+            self,
+            pairs=self.pairs.take(which),
+            split=Split(tuple(range(len(index))), ()),
+            target=self.target[index],
+            counts=self.counts[index],
+            weight=np.broadcast_to(self.weight[..., :1][index], (len(index), *self.target.shape[1:])),
+            choices=tuple(choice.take(which) for choice in self.choices),
+            rival=None if self.rival is None else self.rival.take(which),
+        )
+
+    @functools.cached_property
+    def _fitted(self) -> "PixelObjective":
+        return self.take(self.split.fit)
+
+    @functools.cached_property
+    def _held_out(self) -> "PixelObjective":
+        return self.take(self.split.held_out)
+
+    def fitted(self, point: Point) -> tuple["PixelObjective", Point]:
+        return self._fitted, self._fitted._taken(point, self.split.fit)
+
+    def held_out(self, point: Point) -> tuple["PixelObjective", Point]:
+        return self._held_out, self._held_out._taken(point.with_columns({}), self.split.held_out)
+
+    def _taken(self, point: Point, which: Sequence[int]) -> Point:
+        """A point of all pairs as a point of these, which are some of them."""
+        index = np.asarray(which)
+        columns = {i: column[index] for i, column in point.columns.items()}
+        return self._point(point.model.take(which), point.z, point.shown[0][index], columns)
+
+    def units(self, point: Point) -> np.ndarray:
         """(N, U) mean square residual of each tile, scaled so that the mean over tiles is the pair's."""
-        return self.tiled((((self.target - self.picture(z)) * self.weight) ** 2).sum(-1), side)
+        return self.tiled((self.residual(point) ** 2).sum(-1))
 
-    def clustered(self, values: np.ndarray, which: Sequence[int]) -> np.ndarray:
-        """(scenes, U) values of these pairs, for intervals over what is independent."""
-        return by_scene(values, [self.pairs.names[i] for i in which])
-
-    def scenes(self, which: Sequence[int]) -> int | None:
-        """Not counted: that tiles are drawn beside pairs makes up for few of these."""
-        return None
-
-    def tiled(self, square: np.ndarray, side: int = 60) -> np.ndarray:
+    def tiled(self, square: np.ndarray) -> np.ndarray:
         """(N, U) means over tiles of (N, h, w) weighted squares, scaled likewise."""
-        h, w = square.shape[1:]
-        rows, columns = max(h // side, 1), max(w // side, 1)
-        tiles = [np.array_split(r, columns, 2) for r in np.array_split(square, rows, 1)]
-        sums = np.stack([t.sum((1, 2), dtype=np.float64) for row in tiles for t in row], 1)
-        return sums * (rows * columns / self.counts)[:, None]
+        return tiled(square, self.counts)
 
-    def errors(self, z: np.ndarray) -> np.ndarray:
-        """(N,) mean square residual of each pair, all channels together."""
-        return self.mean_squares((self.target - self.picture(z)) * self.weight)
-
-    def distances(self, z: np.ndarray) -> np.ndarray | None:
-        """None: the errors are those of pixels already."""
+    def distances(self, model: Model, z: np.ndarray) -> np.ndarray | None:
+        """None: the errors are those of pixels."""
         return None
 
-    def scatter(self, z: np.ndarray) -> np.ndarray | None:
+    def scatter(self, model: Model, z: np.ndarray) -> np.ndarray | None:
         """None: what is simulated is the same each time."""
         return None
 
-    def located(self, held: Sequence[int]) -> list[dict[str, Any]]:
-        """The axes by their share of the residual where the problem stands; see `where`. All pairs teach."""
+    def scenes(self, which: Sequence[int]) -> int | None:
+        """None: tiles are drawn beside pairs."""
+        return None
+
+    def located(self, point: Point) -> tuple[Rows, Rows]:
+        """The axes by their share of the residual, twice the same; all pairs teach what is explained."""
+        held = list(self.split.held_out)
         order = [*held, *(i for i in range(len(self.target)) if i not in set(held))]
         weight = self.weight[order][..., 0]
-        residual = self.residual[order] / np.maximum(weight[..., None], 1e-6)
-        scenes = [scene_name(self.pairs.names[i]) for i in order]
-        return where(
-            residual, self.current[order], weight**2, scenes=scenes, scored=len(held), earlier=self.earlier,
+        residual = self.residual(point)[order] / np.maximum(weight[..., None], 1e-6)
+        scenes = [scene_name(self.names[i]) for i in order]
+        rows = where(
+            residual, point.shown[0][order], weight**2, scenes=scenes, scored=len(held), earlier=self.earlier,
             rng=np.random.default_rng(0),
         )  # fmt: skip
+        return rows, rows
 
-    def credited(self, rows: Rows, held: Sequence[int]) -> Rows:
-        """These: of a residual each axis has its own already."""
-        return rows
+    def floor_difference(self, point: Point, files: Sequence[Jpeg | None]) -> np.ndarray:
+        """(N, h, w, 3) what rounding and the files' own compression do to the simulator's pictures, in
+        steps."""
+        whole = self.rendered(point.model, point.z)
+        stored = np.stack([as_stored(p, f) for p, f in zip(whole, files)])
+        return to_steps(stored[INNER]) - to_steps(whole[INNER])
 
-    def mean_squares(self, residual: np.ndarray) -> np.ndarray:
-        flat = residual.reshape(len(residual), -1)
-        return np.einsum("np,np->n", flat, flat, dtype=np.float64) / self.counts
+    def floor_errors(self, difference: np.ndarray) -> np.ndarray:
+        """(N,) the errors that rounding and compression would leave were the simulator right."""
+        # weighed by its own size, as the real residual is by its own
+        counted = self.robust_weights(difference) * self.pairs.mask[INNER]
+        return np.asarray((difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2)))
 
-    def move_to(self, z: np.ndarray) -> None:
-        """Go to a point; the columns there are yet to be computed."""
-        self.z = np.asarray(z, float)
-        self.current = self.picture(self.z)
-        self.residual = (self.target - self.current) * self.weight
-        self.columns: dict[int, np.ndarray] = {}
 
-    def compute(self, which: Sequence[int], steps: Mapping[int, float] | None = None) -> None:
-        """The columns of these coordinates at the point, as changes per unit.
+def _weights(weights: np.ndarray, pairs: Pairs, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) counts and (N, h, w, 3) roots of what pixels count."""
+    counted = weights * pairs.mask[INNER]
+    counts = counted.reshape(len(counted), -1).sum(1)
+    return counts, np.broadcast_to(np.sqrt(counted, dtype=np.float32)[..., None], target.shape)
 
-        Args:
-            which: the coordinates.
-            steps: how far some are moved, where it is not the usual probe.
-        """
 
-        def column(i: int) -> np.ndarray:
-            behind, ahead, step = self.model.probe(self.z, i, (steps or {}).get(i))
-            before = self.current if (behind == self.z).all() else self.picture(behind)
-            return np.asarray((self.picture(ahead) - before) * (self.weight / np.float32(step)))
-
-        new = sorted(set(which) - set(self.columns))
-        self.columns.update(zip(new, each(column, new)))
-
-    def normal(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """(N, K, K) and (N, K): each pair's normal equations for these columns, per pixel."""
-        n = len(self.target)
-        if not which:
-            return np.zeros((n, 0, 0)), np.zeros((n, 0))
-        stacked = np.stack([self.columns[i].reshape(n, -1) for i in which], 1)
-        scale = 1 / self.counts[:, None]
-        gram, right = map(np.asarray, _products(stacked, self.residual.reshape(n, -1)))
-        return gram * scale[..., None], right * scale
+def tiled(square: np.ndarray, counts: np.ndarray, side: int = _TILE) -> np.ndarray:
+    """(N, U) means over tiles of (N, h, w) weighted squares, scaled so that their mean is the sum over the
+    (N,) counts."""
+    h, w = square.shape[1:]
+    rows, columns = max(h // side, 1), max(w // side, 1)
+    tiles = [np.array_split(r, columns, 2) for r in np.array_split(square, rows, 1)]
+    sums = np.stack([t.sum((1, 2), dtype=np.float64) for row in tiles for t in row], 1)
+    return sums * (rows * columns / counts)[:, None]
 
 
 @jax.jit
@@ -241,42 +248,3 @@ def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.A
     """
     product = functools.partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
     return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)
-
-
-def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
-    """(3, 3) colour matrix by least squares in linear light over means of blocks.
-
-    Args:
-        light: (N, H, W, 3) white-balanced camera RGB.
-        pictures: (N, H, W, 3) encoded.
-        mask: (N, H, W).
-    """
-    linear = srgb_to_linear(pictures)
-
-    def means(a: np.ndarray) -> np.ndarray:
-        n, h, w, c = a.shape
-        a = a[:, : h // block * block, : w // block * block]
-        return a.reshape(n, h // block, block, w // block, block, c).mean((2, 4)).reshape(-1, c)
-
-    whole = means(mask[..., None].astype(np.float32))[:, 0] == 1
-    return np.linalg.lstsq(means(light)[whole], means(linear)[whole], rcond=None)[0].T
-
-
-def floor_difference(problem: Problem, files: Sequence[Jpeg | None]) -> np.ndarray:
-    """(N, h, w, 3) what rounding and the file's own compression do to the simulator's pictures, in steps."""
-    whole = problem.model.render(problem.z, problem.pairs.light)
-    stored = np.stack([as_stored(p, f) for p, f in zip(whole, files)])
-    return to_steps(stored[problem.inner]) - to_steps(whole[problem.inner])
-
-
-def floor_errors(problem: Problem, difference: np.ndarray) -> np.ndarray:
-    """(N,) the errors that rounding and compression would leave were the simulator right."""
-    # weighed by its own size, as the real residual is by its own
-    counted = problem.robust_weights(difference) * problem.pairs.mask[problem.inner]
-    return (difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2))
-
-
-def as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
-    """(H, W, 3) encoded, as a file with this one's header would have it; rounded where that says nothing."""
-    own = encoder_of(file)
-    return np.round(255 * picture) / 255 if own is None else np.asarray(run(*own, picture))

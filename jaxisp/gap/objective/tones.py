@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what a fit of statistics does to the pictures' tones and colours, block by block.
+"""Tones and colours, block by block, that a fit of statistics must not spoil.
 
 Statistics are averaged over scenes, and there are few of them: matrix and curve that move along with an
 effect make good three scenes' averages and spoil the scenes themselves, and all others. The means of small
@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.gap.objective.protocol import NormalEquations
+
 _BLOCK = 8  # px
 _STEP = 0.25
 """The squared 8-bit steps that blocks are off by at least: rounding, demosaicking."""
-
-Normal = tuple[np.ndarray, np.ndarray]
 
 
 def of(pictures: np.ndarray, mask: jax.Array) -> np.ndarray:
@@ -32,11 +32,13 @@ def excess(off: np.ndarray, before: np.ndarray) -> float:
     return float(((off**2).mean() + _STEP) / ((before**2).mean() + _STEP))
 
 
-def beside(normal: Normal, error: float, columns: np.ndarray, off: np.ndarray, before: np.ndarray) -> Normal:
+def with_excess(
+    normal: NormalEquations, error: float, columns: np.ndarray, off: np.ndarray, before: np.ndarray
+) -> NormalEquations:
     """The normal equations of an error times its `excess`.
 
     Args:
-        normal: (N, K, K) and (N, K) of the error.
+        normal: of the error.
         error: itself.
         columns: (N, K, T) what blocks change by.
         off, before: of `excess`.
@@ -45,4 +47,6 @@ def beside(normal: Normal, error: float, columns: np.ndarray, off: np.ndarray, b
     gram = columns @ columns.transpose(0, 2, 1) / count
     slope = np.einsum("nkt,nt->nk", columns, off) / count
     share = excess(off, before)
-    return share * normal[0] + error / start * gram, share * normal[1] + error / start * slope
+    return NormalEquations(
+        share * normal.gram + error / start * gram, share * normal.slope + error / start * slope
+    )

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: read, cut to one size and laid on each other."""
+"""Clean pictures aligned to their noisy ones, and both cut to one size."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter
 from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, best_orientation, estimate, same_scene, turned_place, warp
-from jaxisp.gap.base import raw_jpeg
-from jaxisp.gap.objective.pixels import BORDER, Pairs, as_stored
-from jaxisp.gap.pairs.align_raw import Laid, row
+from jaxisp.gap.pairs.align_raw import Aligned, row
+from jaxisp.gap.pairs.crops import common_crop, in_halves, usable
+from jaxisp.gap.pairs.pairs import BORDER, Pairs
+from jaxisp.gap.pairs.stored import as_stored
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.io.orientation import orient
@@ -21,15 +22,15 @@ from jaxisp.io.orientation import orient
 _PART = 0.3  # of a pixel by which a scene may be off and is moved by whole pixels
 
 
-def on_each_other(loaded: Sequence[Loaded]) -> Laid:
-    """The pairs cut to one size, each clean picture, made linear, laid under its noisy one, turned as it is.
-    A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
+def align_clean(loaded: Sequence[Loaded]) -> Aligned:
+    """The pairs cut to one size, each clean picture made linear and aligned to its noisy one, turned as it
+    is. A pair of sizes that are too far apart is left out. One that may be of two scenes is not: noise hides
     whether it is.
 
     Raises:
         InputError: no pair is left, or the largest size that all have is too small.
     """
-    laid = Laid([], [], [])
+    aligned = Aligned([], [], [])
     frames: dict[str, Loaded] = {}
     turned = set()
     for pair in loaded:
@@ -44,24 +45,24 @@ def on_each_other(loaded: Sequence[Loaded]) -> Laid:
             reason = (
                 f"the clean picture has {sizes[0]}, the noisy one {sizes[1]}; crop them to the same frame"
             )
-            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+            aligned.failed.append((pair.name, f"{pair.name}: {reason}"))
     if not frames:
-        raise InputError("; ".join(reason for _, reason in laid.failed))
+        raise InputError("; ".join(reason for _, reason in aligned.failed))
     whole = {pair.name: pair for pair in loaded}
-    for pair, crop in zip(frames.values(), raw_jpeg.common_crop([*frames.values()])):
+    for pair, crop in zip(frames.values(), common_crop([*frames.values()])):
         own, place = _cropped(pair, crop)
         orientation = turned_place(own.picture, _light(np.asarray(own.clean)), place)[1]
         upright = _framed(_turned(whole[pair.name], orientation)) if orientation != 1 else None
         if upright is not None:
             own, place = _cropped(upright, crop)
             turned.add(pair.name)
-        clean, done = _laid_under(np.asarray(own.clean), own.picture, place)
-        laid.kept.append(dataclasses.replace(own, clean=clean))
+        clean, done = _aligned_to(np.asarray(own.clean), own.picture, place)
+        aligned.kept.append(dataclasses.replace(own, clean=clean))
         off = (0, 0) if done == "nothing" else (-place.dy, -place.dx)
         done = "turned" if pair.name in turned else done
         certain = same_scene(place, own.picture.shape)
-        laid.rows.append(row(pair.name, off, done, certain=certain))
-    return laid
+        aligned.rows.append(row(pair.name, off, done, certain=certain))
+    return aligned
 
 
 def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
@@ -79,7 +80,7 @@ def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
     names = tuple(p.name for p in loaded)
     seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
     light, again = jnp.asarray(clean, jnp.float32), _compressed_again(clean, [p.clean_file for p in loaded])
-    return raw_jpeg.in_halves(Pairs(names, light, pictures, raw_jpeg.usable(seen), again))
+    return in_halves(Pairs(names, light, pictures, usable(seen), again))
 
 
 _GRIDS = ((0, 0), (3, 3), (5, 5))
@@ -136,7 +137,7 @@ def _light(scene: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.clip(scene.mean(-1), 0, None)))
 
 
-def _laid_under(scene: np.ndarray, picture: np.ndarray, found: Alignment) -> tuple[np.ndarray, str]:
+def _aligned_to(scene: np.ndarray, picture: np.ndarray, found: Alignment) -> tuple[np.ndarray, str]:
     """The scene moved to where the picture has its details, and what that took: the picture keeps its place
     on the grids of its colour filter array and of its file. By whole pixels where that is about all; another
     scale is left."""

@@ -1,4 +1,4 @@
-"""The two pictures of a pair laid on each other: sizes, shifts, and pairs that are none."""
+"""Pictures aligned to their RAW files: sizes, shifts, and files that are not a pair."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,8 +11,9 @@ from jaxisp.camera import shaded_mosaic
 from jaxisp.cfa import shifted
 from jaxisp.errors import InputError
 from jaxisp.fit.align import Alignment, estimate, same_scene, warp
-from jaxisp.gap.objective.pixels import BORDER
+from jaxisp.gap.pairs.crops import common_crop, in_halves, usable
 from jaxisp.gap.pairs.headers import stated_warp
+from jaxisp.gap.pairs.pairs import BORDER, Pairs
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import run, stage
 
@@ -21,12 +22,12 @@ _UNLIKE = 0.1  # a correlation that even flat pairs of one scene reach
 _ALIKE = 0.4  # what most pairs of a set reach that is neither
 
 
-class Laid(NamedTuple):
-    """Pairs whose halves were laid on each other.
+class Aligned(NamedTuple):
+    """Pairs whose halves are aligned.
 
     Attributes:
         kept: the pairs.
-        failed: (name, reason) of those that are none.
+        failed: (name, reason) of files that are not a pair.
         rows: what was done, for report.json: by how much the picture was found off the other file.
     """
 
@@ -38,8 +39,8 @@ class Laid(NamedTuple):
 def row(
     name: str, off: Sequence[Any], done: str, *, certain: bool, scale: Sequence[Any] = (1.0, 1.0)
 ) -> dict[str, Any]:
-    """One of `Laid.rows`: about its middle the picture's details lie `off` (rows, columns) px from where the
-    other file has them, `scale` times as far apart; whether the two surely show one scene."""
+    """One of `Aligned.rows`: about its middle the picture's details lie `off` (rows, columns) px from where
+    the other file has them, `scale` times as far apart; whether the two surely show one scene."""
     shift, scales = ([round(float(v), digits) + 0.0 for v in own] for own, digits in ((off, 2), (scale, 4)))
     return {"name": name, "shift_px": shift, "scale": scales, "done": done, "certain": certain}
 
@@ -58,11 +59,11 @@ def _placed(pair: Loaded) -> Alignment:
     return estimate(np.sqrt(np.clip(cell, 0, None)), pair.picture)
 
 
-def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
+def align_raw(loaded: Sequence[Loaded]) -> Aligned:
     """RAW+JPEG pairs whose halves have one size.
 
-    A picture of another size is laid where it belongs: cut, or resampled where its scale is another. One of
-    the same size is moved by whole pixels, at most as far as the border that is not counted; what is not a
+    A picture of another size is aligned where it belongs: cut, or resampled where its scale is another. One
+    of the same size is moved by whole pixels, at most as far as the border that is not counted; what is not a
     whole pixel stays in the gap. A pair of two scenes is left out.
 
     Raises:
@@ -70,7 +71,7 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
     """
     places = [_placed(pair) for pair in loaded]
     usual = float(np.median([place.correlation for place in places]))
-    laid = Laid([], [], [])
+    aligned = Aligned([], [], [])
     for pair, place in zip(loaded, places):
         assert pair.raw is not None
         off, scale = (place.dy, place.dx), (place.scale_y, place.scale_x)
@@ -78,23 +79,23 @@ def in_one_frame(loaded: Sequence[Loaded]) -> Laid:
         certain = same_scene(place, pair.raw.mosaic.shape, pair.picture.shape)
         if not certain and (other_size or usual > _ALIKE or place.correlation < _UNLIKE):
             reason = f"the two files do not show one scene: their correlation is {place.correlation:.2f}"
-            laid.failed.append((pair.name, f"{pair.name}: {reason}"))
+            aligned.failed.append((pair.name, f"{pair.name}: {reason}"))
         elif other_size:
-            first = laid.kept[0].raw if laid.kept else None
+            first = aligned.kept[0].raw if aligned.kept else None
             found, done = _cut(pair, place, first.cfa if first else None)
-            laid.kept.append(found)
-            laid.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
+            aligned.kept.append(found)
+            aligned.rows.append(row(pair.name, off, done, certain=certain, scale=scale))
         elif certain:
             move = [-int(np.clip(round(float(v)), -BORDER, BORDER)) for v in off]
-            laid.kept.append(dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1))))
+            aligned.kept.append(dataclasses.replace(pair, picture=np.roll(pair.picture, move, (0, 1))))
             done = "moved" if any(move) else "nothing"
-            laid.rows.append(row(pair.name, off, done, certain=True, scale=scale))
+            aligned.rows.append(row(pair.name, off, done, certain=True, scale=scale))
         else:
-            laid.kept.append(pair)
-            laid.rows.append(row(pair.name, (0, 0), "nothing", certain=False))
-    if not laid.kept:
-        raise InputError("; ".join(reason for _, reason in laid.failed))
-    return laid
+            aligned.kept.append(pair)
+            aligned.rows.append(row(pair.name, (0, 0), "nothing", certain=False))
+    if not aligned.kept:
+        raise InputError("; ".join(reason for _, reason in aligned.failed))
+    return aligned
 
 
 def _cut(pair: Loaded, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
@@ -123,3 +124,13 @@ def _cut(pair: Loaded, place: Alignment, cfa: str | None) -> tuple[Loaded, str]:
     raw = dataclasses.replace(pair.raw, mosaic=cut, crop=crop, cfa=shifted(pair.raw.cfa, *starts))
     done = "resampled" if stretch > _STRETCH else "cut"
     return dataclasses.replace(pair, raw=raw, picture=picture[of_picture]), done
+
+
+def raw_pairs(loaded: Sequence[Loaded]) -> Pairs:
+    """RAW+JPEG pairs, cropped alike; what the sensor or the file clipped does not count."""
+    loaded = list({p.name: p for p in loaded}.values())
+    crops = common_crop(loaded)
+    light = np.stack([shaded_mosaic(p.raw)[c] for p, c in zip(loaded, crops) if p.raw is not None])
+    pictures = np.stack([p.picture[c] for p, c in zip(loaded, crops)]).astype(np.float32)
+    names = tuple(p.name for p in loaded)
+    return in_halves(Pairs(names, jnp.asarray(light, jnp.float32), pictures, usable(pictures)))

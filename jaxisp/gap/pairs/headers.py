@@ -5,8 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxisp.errors import InputError
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.io.opcodes import optical_centre
 from jaxisp.stages.optics import RectilinearWarp
 
@@ -38,6 +40,15 @@ def stated_warp(
     )
 
 
+def raws_of(loaded: Sequence[Loaded]) -> tuple[list[Raw], str]:
+    """The RAW of each pair, and the colour filter array that all have."""
+    raws = [p.raw for p in loaded if p.raw is not None]
+    cfa = raws[0].cfa
+    if len(raws) < len(loaded) or any(raw.cfa != cfa for raw in raws):
+        raise InputError("the RAW files have different colour filter arrays; diagnose one camera at a time")
+    return raws, cfa
+
+
 def of_one_sampling(loaded: Sequence[Loaded]) -> tuple[list[Loaded], list[tuple[str, str]]]:
     """The pairs whose chroma is sampled as that of most is, and (name, reason) of the others: where the base
     stores its pictures the header decides. Of as many the first's."""
@@ -56,3 +67,10 @@ def _sampling(pair: Loaded) -> str:
         return "no JPEG"
     kind = f"JPEG, {pair.jpeg.subsampling}" + ", RGB" * (pair.jpeg.color_space == "RGB")
     return kind + ", in another colour space than sRGB" * pair.jpeg.converted
+
+
+def stated_by(file: Jpeg | None) -> set[str]:
+    """The effects that a file's header tells all about, and that are not looked for."""
+    if file is None:
+        return set()
+    return {"jpeg_quantization"} | ({"chroma_subsampling"} if file.subsampling != "4:4:4" else set())

@@ -1,11 +1,18 @@
 """Repeated frames: which scene each pair shows, which scenes are held out, what is independent."""
 
+import dataclasses
 import re
 from collections.abc import Sequence
 
 import numpy as np
 
-from jaxisp.gap.case import Split
+
+@dataclasses.dataclass(frozen=True)
+class Split:
+    """Pairs that parameters are fitted on, and those that every figure comes from."""
+
+    fit: tuple[int, ...]
+    held_out: tuple[int, ...]
 
 
 def scene_name(name: str) -> str:

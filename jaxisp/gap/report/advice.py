@@ -72,14 +72,11 @@ _ON = {
 }  # fmt: skip
 """By axis, what shows alone what lies there."""
 
-CONSIDERABLE = 0.15
-"""The share of the gap that is worth a word, and a measurement more, where it is left."""
-
 _MORE = "more pairs, of scenes that differ"
 
 
 def between(effect: str, alternatives: Sequence[str]) -> str | None:
-    """What would tell an effect from these; None where there are none."""
+    """A measurement that would tell an effect from these; None if there are none."""
     if not alternatives:
         return None
     found = [_BETWEEN.get(frozenset((effect, other)), _MORE) for other in alternatives]

@@ -11,8 +11,8 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from jaxisp.gap.axes.null_bank import CLEAR, bank
-from jaxisp.gap.report.advice import CONSIDERABLE
+from jaxisp.gap.axes.null_bank import bank
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.report.parameters import parameters_of
@@ -97,7 +97,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     report = plain(report)
     bars = _ranking(report)
     where = report["where"]
-    shown = _clear(where)[:_PLOTS]
+    shown = _clear(report)[:_PLOTS]
     others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
     statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
@@ -164,7 +164,7 @@ def _nearest(report: Mapping[str, Any]) -> str:
 def unexplained(report: Mapping[str, Any]) -> str:
     """How much of the gap the named effects leave; "" where that is little, or none is named."""
     share = report["unexplained"]["share"]
-    considerable = report["causes"] and finite(share) and share >= CONSIDERABLE
+    considerable = report["causes"] and finite(share) and share >= CRITERIA[report["kind"]].considerable
     return f"{percent(share)} of the gap stays unexplained" if considerable else ""
 
 
@@ -198,7 +198,7 @@ def _summary(report: Mapping[str, Any]) -> str:
         if len(report["causes"]) > 1:
             parts[0] = parts[0].replace("Adding it", "Adding them")
     if report["where"]:
-        clear = _clear(report["where"])
+        clear = _clear(report)
         parts.append(
             f"It shows most by {words(clear[0]['axis'])}."
             if clear
@@ -207,9 +207,10 @@ def _summary(report: Mapping[str, Any]) -> str:
     return " ".join(parts)
 
 
-def _clear(where: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def _clear(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """The axes that have more than chance, and than cameras that lack nothing."""
-    return [w for w in where if finite(w["p_value"]) and w["p_value"] <= CLEAR]
+    most = CRITERIA[report["kind"]].clear
+    return [w for w in report["where"] if finite(w["p_value"]) and w["p_value"] <= most]
 
 
 def _group(cause: Mapping[str, Any]) -> str:
@@ -353,8 +354,8 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     aside = [f["reason"] for f in pairs.get("failed", ())]
     aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
     unmodelled = (f"{p['name']}: {p['reason']}" for p in pairs.get("encoder_not_modelled", ()))
-    laid = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
-    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in laid)
+    moved = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
+    placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in moved)
     rows = [
         ("simulator", base.get("given", "")),
         ("base", ", ".join(map(words, base["stages"]))),

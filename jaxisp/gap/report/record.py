@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.report import advice
-from jaxisp.gap.search.refit import SMALLEST, Trial
-from jaxisp.gap.search.screening import LEADING, told_by_pixels
+from jaxisp.gap.search.screening import closer_in_pixels
+from jaxisp.gap.search.trial import Trial
 from jaxisp.gap.search.verdict import Found
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.gap.simulator.model import Model
@@ -78,7 +79,7 @@ NOT_SURE = "the pairs are too few to be sure of it"
 LEADS_LITTLE = "closes less than the quarter that a first cause must"
 NO_ACCOUNT = "does not account for the gap"
 HIDDEN = "these pairs hardly show it, however strong"
-TAKEN_UP = "taken up by the base fit"
+ABSORBED = "taken up by the base fit"
 STATED = "the file's header states it"
 NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
 NO_HEADER = "without the file's header nothing tells it from the file's own compression"
@@ -87,43 +88,50 @@ _COLOURS = {"hue", "saturation"}
 """The axes of what acts by colour alone."""
 
 
-def _refusal(trial: Trial, found: Found) -> str | None:
-    """Why an effect that was refitted is no cause, where its interval does not say so itself."""
+def _refusal(trial: Trial, found: Found, criteria: Criteria) -> str | None:
+    """Why an effect that was refitted was not accepted, unless its interval says so itself."""
     causes = [t for t, _ in found.causes]
-    if causes and told_by_pixels(causes[0], trial):
+    if causes and closer_in_pixels(causes[0], trial, criteria):
         return f"takes pixels less near than {causes[0].effect}"
-    if not trial.possible:
+    if not trial.possible(criteria):
         return FARTHER
-    if trial.low <= SMALLEST:
+    if trial.low <= criteria.smallest:
         return None
-    if not trial.accepted:
-        return NOT_SURE if trial.low > trial.least else NO_MORE
+    if not trial.accepted(criteria):
+        return NOT_SURE if trial.low > trial.bars.least else NO_MORE
     if causes:
         return "closes too little beside " + " and ".join(t.effect for t in causes)
-    return LEADS_LITTLE if trial.closed < LEADING else NO_ACCOUNT
+    return LEADS_LITTLE if trial.closed < criteria.leading else NO_ACCOUNT
 
 
-def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[dict[str, Any]]:
+def ranking_rows(
+    found: Found, apart: Mapping[str, str], scale: float, criteria: Criteria
+) -> list[dict[str, Any]]:
     """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
     line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
     possible: it takes pixels no farther away. What was not tried closes nothing. What was not accepted though
-    its interval is above `SMALLEST` says why, and what was not tried.
+    its interval is above `Criteria.smallest` says why, and what was not tried.
 
     Args:
         found: by the search.
         apart: by the effects that were not tried, why.
         scale: the gap above the floor.
+        criteria: what the verdict was decided by.
     """
     accepted = {t.effect: t for t, _ in found.causes}
     alike = {name: t.effect for t, names in found.causes for name in names}
     colourless = NO_COLOURS in apart.values()
     rows = []
-    for name, promise in found.promises.items():
-        trial, promised = accepted.get(name, found.trials.get(name)), float(promise / scale)
-        promised = min(promised, 1.0) if trial is None else promised
-        row = {"effect": name, "closed": promised, "status": "rejected", "predicted": promised}
+    for name, drop in found.predicted.items():
+        trial, share = accepted.get(name, found.trials.get(name)), float(drop / scale)
+        share = min(share, 1.0) if trial is None else share
+        row = {"effect": name, "closed": share, "status": "rejected", "predicted": share}
         if trial is not None:
-            row |= {"closed": float(trial.closed), "ci": [trial.low, trial.high], "possible": trial.possible}
+            row |= {
+                "closed": float(trial.closed),
+                "ci": [trial.low, trial.high],
+                "possible": trial.possible(criteria),
+            }
         if name in accepted:
             row["status"] = "accepted"
         elif name in alike:
@@ -132,11 +140,11 @@ def ranking_rows(found: Found, apart: Mapping[str, str], scale: float) -> list[d
             row |= {"status": "not_identifiable", "reason": HIDDEN}
         elif colourless and {*EFFECTS[name].axes} <= _COLOURS:
             row |= {"status": "not_identifiable", "reason": NO_COLOURS}
-        elif trial is not None and (why := _refusal(trial, found)):
+        elif trial is not None and (why := _refusal(trial, found, criteria)):
             row |= {"reason": why}
         rows.append(row)
     for name, why in apart.items():
-        if name not in found.promises:
+        if name not in found.predicted:
             status = "not_identifiable" if why in (NO_HEADER, NO_COLOURS) else "absorbed"
             rows.append({"effect": name, "closed": 0.0, "status": status, "reason": why})
     return sorted(rows, key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))

@@ -26,7 +26,7 @@ _TEXT = {
 
 
 def spectra_part(kind: str, pictures: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What the page says of `jaxisp.gap.features.spectra`; None where there is none.
+    """The part of the page about `jaxisp.gap.features.spectra`; None without spectra.
 
     Args:
         kind: of the data.

@@ -79,7 +79,7 @@ def span(ci: Sequence[Any]) -> str:
 
 
 def number(value: Any) -> str:
-    """Three figures, without an exponent where there is no need of one."""
+    """Three figures, without an exponent where that is short."""
     if not finite(value):
         return "unknown"
     value = float(value)

@@ -13,12 +13,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
 
 from jaxisp.color import ycbcr_to_rgb_planes
-from jaxisp.gap.case import Split
-from jaxisp.gap.objective.pixels import Problem
-from jaxisp.gap.search.refit import Trial, interval
-from jaxisp.gap.search.screening import LEADING
-
-Cause = tuple[Trial, list[str]]
+from jaxisp.gap.axes.interval import interval
+from jaxisp.gap.criteria import Criteria
+from jaxisp.gap.objective.pixels import tiled
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.trial import Bars, Cause, Trial
 
 _FLAT = 0.35  # share of the pixels that counts as flat
 _BINS = 8
@@ -27,42 +26,62 @@ _HUES, _DEPTHS = 6, (0.33, 0.67, 0.9)
 _GRID = 8  # px: dither patterns are of 8x8 or less
 
 
-def grain_trial(problem: Problem, floor: np.ndarray, split: Split, scale: float, least: float) -> Trial:
-    """How much of the gap film grain accounts for where the problem stands.
+@dataclasses.dataclass(frozen=True)
+class Residual:
+    """What grain is looked for in.
+
+    Attributes:
+        target: (N, h, w, 3) the wanted pictures, Y'CbCr in 8-bit steps.
+        current: (N, h, w, 3) the simulator's.
+        counted: (N, h, w) what a pixel counts.
+        counts: (N,) the sums of that.
+        split: grain is measured on the fitted pairs, and closes on the others.
+    """
+
+    target: np.ndarray
+    current: np.ndarray
+    counted: np.ndarray
+    counts: np.ndarray
+    split: Split
+
+
+def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, least: float) -> Trial:
+    """How much of the gap film grain accounts for.
 
     Args:
-        problem: the residual is looked at, nothing is moved.
+        seen: the pictures, the simulator's where its causes have taken it.
         floor: (N, h, w, 3) what rounding and the file's compression do, in steps.
-        split: grain is measured on the fitted pairs, and closes on the others.
-        scale, least: as for `refit`.
+        z: where the simulator is; grain moves nothing.
+        scale: of the gap.
+        least: share of it that the lower end of the interval must be above.
     """
-    fit_on, held = list(split.fit), list(split.held_out)
-    residual = problem.target - problem.current
-    flat = _flat(problem)
-    energy = _unpredicted(problem, residual, flat, fit_on) - (floor**2).sum(-1)
-    expected = _by_luma(problem.current[..., 0], energy, flat, fit_on)
-    expected = expected * (1 - _follows_values(problem, residual, floor, flat, split))
-    counted = problem.weight[..., 0] ** 2
-    found = problem.tiled(counted * (residual**2).sum(-1))[held]
-    left = found - problem.tiled(counted * expected)[held]
-    bottom = problem.tiled(counted * (floor**2).sum(-1))[held]
+    held = list(seen.split.held_out)
+    residual, flat = seen.target - seen.current, _flat(seen)
+    energy = _unpredicted(seen, residual, flat) - (floor**2).sum(-1)
+    expected = _by_luma(seen.current[..., 0], energy, flat, seen.split.fit)
+    expected = expected * (1 - _follows_values(seen, residual, floor, flat))
+    found, grainy, bottom = (
+        tiled(seen.counted * square, seen.counts)[held]
+        for square in ((residual**2).sum(-1), expected, (floor**2).sum(-1))
+    )
+    left = found - grainy
     after = bottom + np.abs(left - bottom)
     drop = found - after
     low, high = interval(drop, scale)
     means = float(np.nanmean(found)), float(np.nanmean(after))
     params = {"std": float(np.sqrt(expected[flat].mean() / 3) / 255)}
-    return Trial(
-        "film_grain", problem.z, *means, float(np.nanmean(drop)) / scale, low, high, least, params=params
-    )
+    closed = float(np.nanmean(drop)) / scale
+    return Trial("film_grain", z, *means, closed, low, high, Bars(least), params=params)
 
 
-def with_grain(causes: Sequence[Cause], grain: Trial, floor: float) -> list[Cause]:
+def with_grain(causes: Sequence[Cause], grain: Trial, floor: float, criteria: Criteria) -> list[Cause]:
     """The causes with film grain where its closure belongs: its drop adds to the others'.
 
     What another effect leaves in flat areas is less than a leading cause, and than half of what is left.
     """
     drop = grain.gain
-    if not grain.accepted or grain.closed < LEADING or drop < 0.5 * (grain.before - floor):
+    little = grain.closed < criteria.leading or drop < criteria.grain_of_rest * (grain.before - floor)
+    if little or not grain.accepted(criteria):
         return list(causes)
     first = [c for c in causes if c[0].closed >= grain.closed]
     before = first[-1][0].after if first else (causes[0][0].before if causes else grain.before)
@@ -73,25 +92,22 @@ def with_grain(causes: Sequence[Cause], grain: Trial, floor: float) -> list[Caus
     return [*first, (dataclasses.replace(grain, before=before, after=before - drop), []), *moved]
 
 
-def _flat(problem: Problem) -> np.ndarray:
+def _flat(seen: Residual) -> np.ndarray:
     """(N, h, w) where the simulator's picture hardly changes."""
-    slope = gaussian_gradient_magnitude(problem.current[..., 0], (0, 1.5, 1.5))
-    seen = problem.weight[..., 0] > 0
-    return np.asarray((slope < np.quantile(slope[seen], _FLAT)) & seen)
+    slope = gaussian_gradient_magnitude(seen.current[..., 0], (0, 1.5, 1.5))
+    counts = seen.counted > 0
+    return np.asarray((slope < np.quantile(slope[counts], _FLAT)) & counts)
 
 
-def _unpredicted(
-    problem: Problem, residual: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]
-) -> np.ndarray:
+def _unpredicted(seen: Residual, residual: np.ndarray, flat: np.ndarray) -> np.ndarray:
     """(N, h, w) energy of the residual's detail less what the picture's own predicts of it, colour by colour.
 
     What is smooth in flat areas is an error of colour, not grain.
     """
-    details = np.concatenate([_detail(problem.current, sigma) for sigma in (1.0, 3.0)], -1)
-    learnt = np.zeros_like(flat)
-    learnt[fit_on] = flat[fit_on]
+    details = np.concatenate([_detail(seen.current, sigma) for sigma in (1.0, 3.0)], -1)
+    learnt = _of(flat, seen.split.fit)
     left = _detail(residual, 3.0)
-    color = _colors(problem.current, flat)
+    color = _colors(seen.current, flat)
     for k in range(color.max() + 1):
         own = color == k
         if (own & learnt).sum() >= _FEW:
@@ -109,18 +125,15 @@ def _colors(picture: np.ndarray, flat: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(depth == 0, 0, 1 + (depth - 1) * _HUES + hue))
 
 
-def _follows_values(
-    problem: Problem, residual: np.ndarray, floor: np.ndarray, flat: np.ndarray, split: Split
-) -> float:
+def _follows_values(seen: Residual, residual: np.ndarray, floor: np.ndarray, flat: np.ndarray) -> float:
     """The share of the residual's detail in flat areas that is one function of R, G or B and of the place in
     a grid of 8x8 px.
 
     What the function is on the fitted pairs is multiplied by what it is on the others: chance cancels.
     """
-    values = _to_rgb(problem.current)
+    values = _to_rgb(seen.current)
     fine, bottom = (_to_rgb(_detail(d, 3.0)) for d in (residual, floor))
-    halves = split.fit, split.held_out
-    sides = [np.isin(np.arange(len(flat)), half)[:, None, None] & flat for half in halves]
+    sides = [_of(flat, half) for half in (seen.split.fit, seen.split.held_out)]
     height, width = flat.shape[1:]
     place = np.add.outer(np.arange(height) % _GRID * _GRID, np.arange(width) % _GRID)
     shared = energy = 0.0
@@ -130,10 +143,15 @@ def _follows_values(
         sums = [np.bincount(cell[side], fine[..., c][side], 256 * _GRID**2) for side in sides]
         both = (counts[0] > 0) & (counts[1] > 0)
         first, second = (s[both] / n[both] for s, n in zip(sums, counts))
-        seen = (counts[0] + counts[1])[both]
-        shared += float((seen * first * second).sum() / max(seen.sum(), 1))
+        count = (counts[0] + counts[1])[both]
+        shared += float((count * first * second).sum() / max(count.sum(), 1))
         energy += float((fine[flat][:, c] ** 2).mean() - (bottom[flat][:, c] ** 2).mean())
     return float(np.clip(shared / max(energy, 1e-6), 0, 1))
+
+
+def _of(flat: np.ndarray, which: Sequence[int]) -> np.ndarray:
+    """(N, h, w) the flat areas of these pairs alone."""
+    return np.asarray(np.isin(np.arange(len(flat)), which)[:, None, None] & flat)
 
 
 def _to_rgb(steps: np.ndarray) -> np.ndarray:
@@ -146,8 +164,7 @@ def _detail(picture: np.ndarray, sigma: float) -> np.ndarray:
 
 def _by_luma(luma: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]) -> np.ndarray:
     """(N, h, w) the mean energy of flat areas of that luma, at least 0."""
-    learnt = np.zeros_like(flat)
-    learnt[fit_on] = flat[fit_on]
+    learnt = _of(flat, fit_on)
     values, seen = energy[learnt], luma[learnt]
     edges = np.quantile(seen, np.linspace(0, 1, _BINS + 1))
     which = np.clip(np.searchsorted(edges, seen, "right") - 1, 0, _BINS - 1)

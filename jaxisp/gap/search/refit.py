@@ -1,382 +1,273 @@
 """One effect fitted together with the base, and what it closes on pairs that were not fitted."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
-from jaxisp.gap.case import Ladders, Measured, Split
+from jaxisp.gap.axes.interval import few_scenes, interval
+from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.parallel import each
+from jaxisp.gap.objective.protocol import Evidence, Objective, Point
+from jaxisp.gap.pairs.scenes import by_scene
+from jaxisp.gap.parallel import parallel_map
+from jaxisp.gap.search.trial import Bars, Trial, Whole
 from jaxisp.gap.simulator.effects import EFFECTS
-from jaxisp.gap.simulator.model import Choice
+from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.noise import Ladders, informed_by_noise, noisier, placed, starts
 
-SMALLEST = 0.05
-"""The lower end of an accepted effect's interval of closure."""
-FARTHEST = 0.2
-"""By what share an effect may raise the mean square distance of pixels, noise and all. Statistics are blind
-to much: a warp of several pixels smooths noise as well, but what it shows is elsewhere."""
-NEARER = 0.05
-"""By what share of the mean square distance of pixels one effect must be nearer than another to be told from
-it by that."""
-_CLEARED = 0.5
-"""What share of the distance beyond the noise must go for pixels to show an effect by themselves."""
-_MOST = 0.67
-"""The share of what causes before it leave, from which on an effect needs to be sure of a part of that alone:
-how unlike scenes are in the other causes' part is nothing against it."""
-_DRAWS = 400
-_HOPELESS = 4.0
-"""How many times the least error of all forms one may leave at first for the base to be fitted beside it."""
-_FREER = 0.9
-"""What share of a form's error its effect must leave where its numbers are free, to be between forms."""
 _ROUNDING = 1 / 12  # of 8 bits, which pictures without noise have left
-_LEAST_WHOLE = 0.25  # of the gap in what is drawn: near the floor a part of it may be none
 
 
-@dataclasses.dataclass(frozen=True)
-class Whole:
-    """The gap above the floor that closure is a share of: its size, and the part (N, U) of each held-out
-    pair's units, clustered as their drops are."""
-
-    size: float
-    parts: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """An effect refitted with the base: where it ended, and the share of the gap it closes there.
-
-    `choice` is what the base became with it, None where it stayed as it was; `params` are the effect's own
-    where `z` has none for it; `farther` is the share by which pixels are farther from the real ones with it.
-    `low` and `high` are a bootstrap's; `surely` is the lower end of the share where a scene that has more of
-    the gap is drawn with it, and scenes are few. `cleared` is the share of the pixels' distance beyond the
-    noise that goes with it, and `plainly` what `low` must be above where they show it by themselves. `error`
-    is what it leaves on the fitted pairs, `rest` the share of the gap that causes before it left.
-    """
-
-    effect: str
-    z: np.ndarray
-    before: float
-    after: float
-    closed: float
-    low: float
-    high: float
-    least: float
-    choice: Choice | None = None
-    params: dict[str, float] = dataclasses.field(default_factory=dict)
-    farther: float = 0.0
-    surely: float = np.inf
-    cleared: float = 0.0
-    plainly: float = np.inf
-    error: float = np.inf
-    rest: float = 1.0
-
-    @property
-    def gain(self) -> float:
-        return self.before - self.after
-
-    @property
-    def possible(self) -> bool:
-        return self.farther < FARTHEST
-
-    @property
-    def shown(self) -> bool:
-        """Whether pixels show it, whatever statistics say: they come nearer by as much as no stranger's have,
-        or by half of what they are off."""
-        return self.farther < -FARTHEST or (self.farther < -NEARER and self.cleared > _CLEARED)
-
-    @property
-    def accepted(self) -> bool:
-        if self.low <= SMALLEST or not self.possible:
-            return False
-        sure = SMALLEST * (self.rest if self.closed > _MOST * self.rest else 1.0)
-        by_statistics = self.low > self.least and self.surely > sure
-        return by_statistics or (self.shown and self.low > self.plainly)
-
-
-def switched_on(problem: Measured) -> list[int]:
+def switched_on(point: Point) -> list[int]:
     """Coordinates of effects that were accepted already and stay free."""
-    first = len(problem.model.base)
-    return [i for i in range(first, len(problem.z)) if problem.z[i] != 0]
+    first = len(point.model.base)
+    return [i for i in range(first, len(point.z)) if point.z[i] != 0]
 
 
 def refit(
-    problem: Measured,
+    evidence: Evidence,
+    point: Point,
     effect: str,
-    split: Split,
     whole: Whole,
-    least: float,
+    bars: Bars,
+    criteria: Criteria,
+    *,
     steps: int = 4,
     begin: np.ndarray | None = None,
     form: np.ndarray | None = None,
-    plainly: float = np.inf,
-    rest: float = 1.0,
 ) -> Trial:
     """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
 
-    The problem stays where it is.
-
     Args:
+        evidence: of all pairs.
+        point: without the effect, with the columns that the fit starts with.
+        effect: its name.
         whole: the gap before any effect.
-        least: the share that the lower end of its interval must be above, beside `SMALLEST`.
+        bars: what the trial is judged by.
+        criteria: likewise.
+        steps: of the fit, at most.
         begin: where the fit starts, what is searched for being found there; None: it is looked for.
         form: of `nearest_form`; what moves freely from there must be better by a tenth.
-        plainly: likewise, where pixels show the effect by themselves.
-        rest: the share of the gap that causes before it left.
     """
-    own = problem.model.indices([effect])
-    moving = [*problem.model.base_indices, *switched_on(problem), *own]
-    part, seen = problem.take(split.fit), range(len(split.fit))
+    own = point.model.indices([effect])
+    moving = [*point.model.base_indices, *switched_on(point), *own]
+    part, start = evidence.fitted(point)
     if begin is None:
-        _fit_with(part, moving, own, seen, steps, form)
+        at = _fit_with(part, start, moving, own, steps, form)
     else:
-        part.move_to(begin)
-        fit(part, [i for i in moving if not part.model.coordinates[i].move.grid], seen, steps=steps)
-    if form is not None and part.errors(part.z).mean() > _FREER * part.errors(form).mean():
-        part.move_to(form)
-    choice = _choose_again(part, seen)
+        smooth = [i for i in moving if not start.model.coordinates[i].move.grid]
+        at = fit(part, part.at(start.model, begin), smooth, steps=steps).point
+    if form is not None:
+        exact = part.at(at.model, form)
+        at = exact if at.error > criteria.between_forms * exact.error else at
+    choice = _choose_again(part, at, criteria)
     if choice is not None:
-        fit(part, [i for i in moving if i not in searched(part, [effect])], seen, steps=2)
-    held = problem.take(split.held_out)
-    # of a pattern whose place is drawn pixels say nothing
+        chosen = part.at(at.model.chosen(part.choices[choice]), at.z)
+        smooth = [i for i in moving if i not in searched(at.model, [effect])]
+        at = fit(part, chosen, smooth, steps=2).point
+    held, there = evidence.held_out(point)
+    # pixels cannot judge a pattern whose place is drawn
     told = effect not in EFFECTS or not EFFECTS[effect].random
-    before, far = held.units(problem.z), distance(held, problem.z) if told else 0.0
-    harmless = _harmless(problem, own, moving, split, held) if set(own) & set(problem.references) else before
+    before, far = held.units(there), distance(held, there.model, there.z) if told else 0.0
+    harmless = before
+    if set(own) & set(evidence.references):
+        harmless = held.units(held.at(there.model, _harmless(evidence, point, own, moving)))
     if choice is not None:
-        held.choose(problem.choices[choice].take(split.held_out))
-        alone = held.units(problem.z)  # what the choice does without the effect is not the effect's
+        there = held.at(there.model.chosen(held.choices[choice]), there.z)
+        alone = held.units(there)  # what the choice does without the effect is not the effect's
         harmless = alone if np.nanmean(alone) < np.nanmean(harmless) else harmless
-    after = held.units(part.z)
-    drop = harmless - after
+    drop = harmless - held.units(held.at(there.model, at.z))
     lost = float(np.nanmean(drop))
-    drops = problem.clustered(drop, split.held_out)
+    drops = clustered(evidence, drop)
     low, high = interval(drops, whole.size)
-    chosen = None if choice is None else problem.choices[choice]
-    nearer = far - distance(held, part.z) if told else 0.0
-    noise = _noise(held, problem.z, part.z) if np.isfinite(plainly) and nearer > NEARER * far else 0.0
+    nearer = far - distance(held, there.model, at.z) if told else 0.0
+    weighed = np.isfinite(bars.plainly) and nearer > criteria.nearer * far
+    noise = _noise(held, there.model, there.z, at.z) if weighed else 0.0
     cleared = nearer / (far - noise) if far > noise > 0 else 0.0
-    start = float(np.nanmean(before))
-    closed, factor = lost / whole.size, few_scenes(problem.scenes(split.held_out))
-    surely = closed - factor * (closed - interval(drops, whole.parts)[0])
+    first = float(np.nanmean(before))
+    closed, factor = lost / whole.size, few_scenes(evidence.scenes(evidence.split.held_out))
     return Trial(
-        effect, part.z, start, start - lost, closed, low, high, least, chosen,
-        farther=-nearer / max(far, _ROUNDING), surely=surely, cleared=cleared, plainly=plainly,
-        error=float(part.errors(part.z).mean()), rest=rest,
+        effect, at.z, first, first - lost, closed, low, high, bars,
+        None if choice is None else evidence.choices[choice],
+        farther=-nearer / max(far, _ROUNDING), cleared=cleared, error=at.error,
+        surely=closed - factor * (closed - interval(drops, whole.parts)[0]),
     )  # fmt: skip
 
 
-def distance(held: Measured, z: np.ndarray) -> float:
+def clustered(evidence: Evidence, values: np.ndarray) -> np.ndarray:
+    """(scenes, U) values (N, U) of the held-out pairs, for intervals over what is independent."""
+    return by_scene(values, [evidence.names[i] for i in evidence.split.held_out])
+
+
+def distance(held: Evidence, model: Model, z: np.ndarray) -> float:
     """The mean square distance of these pixels at a point; 0 where pixels are what is compared."""
-    found = held.distances(z)
+    found = held.distances(model, z)
     return 0.0 if found is None else float(found.mean())
 
 
-def _noise(held: Measured, *points: np.ndarray) -> float:
+def _noise(held: Evidence, model: Model, *points: np.ndarray) -> float:
     """The mean square of the noise, the larger of these points': a base that lacks much may have less."""
-    found = [held.scatter(z) for z in points]
+    found = [held.scatter(model, z) for z in points]
     return max((float(noise.mean()) for noise in found if noise is not None), default=0.0)
 
 
-def _harmless(
-    problem: Measured, own: Sequence[int], moving: Sequence[int], split: Split, held: Measured
-) -> np.ndarray:
-    """The held-out units where an effect does what the file does anyway, the base fitted beside it."""
-    part = problem.take(split.fit)
-    z = problem.z.copy()
-    for i in set(own) & set(problem.references):
-        z[i] = problem.references[i]
-    part.move_to(z)
-    fit(part, [i for i in moving if i not in set(own)], range(len(split.fit)), steps=3)
-    return held.units(part.z)
+def _harmless(evidence: Evidence, point: Point, own: Sequence[int], moving: Sequence[int]) -> np.ndarray:
+    """Where an effect does what the file does anyway, the base fitted beside it."""
+    part, start = evidence.fitted(point)
+    z = point.z.copy()
+    for i in set(own) & set(evidence.references):
+        z[i] = evidence.references[i]
+    return fit(part, part.at(start.model, z), [i for i in moving if i not in set(own)], steps=3).point.z
 
 
 def _fit_with(
-    part: Measured,
+    part: Objective,
+    at: Point,
     moving: Sequence[int],
     own: Sequence[int],
-    seen: Sequence[int],
     steps: int,
     form: np.ndarray | None = None,
-) -> None:
+) -> Point:
     """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
-    gridded = [i for i in own if part.model.coordinates[i].move.grid]
-    afar = _from_afar(part, own, seen) if form is None else part.z
-    if (afar != part.z).any():
-        part.move_to(afar)
-        part.compute([i for i in moving if i not in gridded])
-    columns = part.columns
+    model = at.model
+    gridded = [i for i in own if model.coordinates[i].move.grid]
+    afar = _from_afar(part, at, own) if form is None else at.z
+    if (afar != at.z).any():
+        at = part.compute(part.at(model, afar), [i for i in moving if i not in gridded])
+    columns = at.columns
     for i in gridded:
-        points = [part.placed(part.z, i, part.z[i] + v) for v in part.model.coordinates[i].move.grid]
-        part.move_to(_climbed([ladder for z in points for ladder in part.noisier(z, i)], part, seen))
-    starts = part.starts([i for i in own if i not in gridded])
-    if starts:
-        part.move_to(
-            _climbed([ladder for own in starts for ladder in own], part, seen) if form is None else form
-        )
+        points = [placed(model, at.z, i, at.z[i] + v) for v in model.coordinates[i].move.grid]
+        at = _climbed([ladder for z in points for ladder in noisier(model, z, i)], part, model)
+    begun = starts(model, at.z, [i for i in own if i not in gridded])
+    if begun:
+        ladders = [ladder for own_form in begun for ladder in own_form]
+        at = _climbed(ladders, part, model) if form is None else part.at(model, form)
     smooth = [i for i in moving if i not in gridded]
-    fresh = [i for i in smooth if i in own or i in part.fresh]
-    if starts or gridded:  # the columns of these are another point's
+    noise = informed_by_noise(model)
+    fresh = [i for i in smooth if i in own or i in noise]
+    if begun or gridded:  # the columns of these are another point's
         columns = {i: column for i, column in columns.items() if i not in fresh}
-    part.columns = dict(columns)
-    fit(part, smooth, seen, steps=steps, fresh=fresh)
+    at = fit(part, at.with_columns(columns), smooth, steps=steps, fresh=fresh).point
 
-    def go_to(z: np.ndarray) -> None:
+    def moved_to(at: Point, z: np.ndarray) -> Point:
         """The rest has been fitted for the place before."""
-        if (z != part.z).any():
-            part.move_to(z)
-            part.columns = dict(columns)
-            fit(part, smooth, seen, steps=2, fresh=fresh)
+        if (z == at.z).all():
+            return at
+        return fit(part, part.at(model, z).with_columns(columns), smooth, steps=2, fresh=fresh).point
 
     for i in gridded:
-        go_to(_nearby(part, i, 0.5, seen))
-        go_to(_nearby(part, i, 0.25, seen))
-        if part.model.coordinates[i].move.fine:
-            go_to(_finely(part, i, seen))
+        at = moved_to(at, _nearby(part, at, i, 0.5))
+        at = moved_to(at, _nearby(part, at, i, 0.25))
+        if model.coordinates[i].move.fine:
+            at = moved_to(at, _finely(part, at, i))
+    return at
 
 
-def nearest_form(problem: Measured, effect: str, split: Split) -> np.ndarray | None:
+def nearest_form(evidence: Evidence, point: Point, effect: str, criteria: Criteria) -> np.ndarray | None:
     """Of an effect whose forms are exact the one that leaves the least error once the base is fitted beside
     it, where that ends; None of other effects, or where the base alone does as well.
 
     The base has imitated what a form does, so that the right one may look worse at first, and numbers that
     move freely from there end between two, which other scenes do not bear out.
     """
-    own = problem.model.indices([effect]) if effect in EFFECTS and EFFECTS[effect].exact else []
-    forms = problem.starts(own) if own else []
+    own = point.model.indices([effect]) if effect in EFFECTS and EFFECTS[effect].exact else []
+    forms = starts(point.model, point.z, own) if own else []
     if not forms:
         return None
-    part, seen = problem.take(split.fit), range(len(split.fit))
-    moving = [*problem.model.base_indices, *switched_on(problem)]
-    columns = {i: column for i, column in part.columns.items() if i not in part.fresh}
-    points = [_climbed(ladders, part, seen) for ladders in forms]
-    errors = [float(part.errors(z).mean()) for z in points]
+    part, start = evidence.fitted(point)
+    model, noise = start.model, informed_by_noise(start.model)
+    moving = [*model.base_indices, *switched_on(point)]
+    columns = {i: column for i, column in start.columns.items() if i not in noise}
+    points = [_climbed(ladders, part, model) for ladders in forms]
+    least = min(at.error for at in points)
     ends = []
-    for point in (z for z, error in zip(points, errors) if error <= _HOPELESS * min(errors)):
-        part.move_to(point)
-        part.columns = dict(columns)
-        part.compute(moving)
-        ends.append((fit(part, moving, seen, steps=2, fresh=part.fresh), part.z))
-    found = min(ends, key=lambda end: end[0])[1]
-    return found if (found[own] != problem.z[own]).any() else None
+    for at in points:
+        if at.error <= criteria.hopeless * least:
+            at = part.compute(at.with_columns(columns), moving)
+            ends.append(fit(part, at, moving, steps=2, fresh=noise))
+    found = min(ends, key=lambda end: end.total).point.z
+    return found if (found[own] != point.z[own]).any() else None
 
 
-def _climbed(ladders: Ladders, part: Measured, seen: Sequence[int]) -> np.ndarray:
+def _climbed(ladders: Ladders, part: Objective, model: Model) -> Point:
     """The point that leaves the least error, each ladder climbed as long as that falls."""
 
     def climb(ladder: list[np.ndarray]) -> tuple[float, np.ndarray]:
         least, best = np.inf, ladder[0]
         for z in ladder:
-            error = float(part.errors(z)[list(seen)].mean())
+            error = part.at(model, z).error
             if error >= least:
                 break
             least, best = error, z
         return least, best
 
-    return min(each(climb, ladders), key=lambda found: found[0])[1]
+    return part.at(model, min(parallel_map(climb, ladders), key=lambda found: found[0])[1])
 
 
-def _best_of(points: Sequence[np.ndarray], problem: Measured, seen: Sequence[int]) -> np.ndarray:
+def _best_of(points: Sequence[np.ndarray], part: Objective, model: Model) -> np.ndarray:
     """The point that leaves the least error."""
-    errors = each(lambda z: problem.errors(z)[list(seen)].mean(), points)
+    errors = parallel_map(lambda z: part.at(model, z).error, points)
     return points[int(np.argmin(errors))]
 
 
-def _from_afar(part: Measured, own: Sequence[int], seen: Sequence[int]) -> np.ndarray:
+def _from_afar(part: Objective, at: Point, own: Sequence[int]) -> np.ndarray:
     """The point itself, or one that an effect far from its small probe starts from, where that is better."""
-    z = part.z
+    z, model = at.z, at.model
     for i in own:
-        points = [z, *(part.placed(z, i, z[i] + v) for v in part.model.coordinates[i].move.far)]
-        z = _best_of(points, part, seen) if len(points) > 1 else z
+        points = [z, *(placed(model, z, i, z[i] + v) for v in model.coordinates[i].move.far)]
+        z = _best_of(points, part, model) if len(points) > 1 else z
     return z
 
 
-def distant(problem: Measured, names: Sequence[str]) -> dict[int, float]:
+def distant(evidence: Objective, point: Point, names: Sequence[str]) -> dict[int, float]:
     """By coordinate of these effects the change out of `Move.far` that lowers the error most, if one does."""
-    at_rest, found = problem.errors(problem.z).mean(), {}
-    for i in problem.model.indices(names):
-        tried = problem.model.coordinates[i].move.far
-        points = [problem.placed(problem.z, i, problem.z[i] + v) for v in tried]
-        errors = each(lambda z: problem.errors(z).mean(), points)
-        if errors and min(errors) < at_rest:
+    model, found = point.model, {}
+    for i in model.indices(names):
+        tried = model.coordinates[i].move.far
+        points = [placed(model, point.z, i, point.z[i] + v) for v in tried]
+        errors = parallel_map(lambda z: evidence.at(model, z).error, points)
+        if errors and min(errors) < point.error:
             found[i] = tried[int(np.argmin(errors))]
     return found
 
 
-def searched(problem: Measured, names: Sequence[str]) -> list[int]:
+def searched(model: Model, names: Sequence[str]) -> list[int]:
     """Coordinates of these effects that are searched for on a grid."""
-    return [i for i in problem.model.indices(names) if problem.model.coordinates[i].move.grid]
+    return [i for i in model.indices(names) if model.coordinates[i].move.grid]
 
 
-def lowest(problem: Measured, i: int, seen: Sequence[int]) -> float:
+def lowest(evidence: Objective, point: Point, i: int) -> float:
     """Which change of the grid leaves the least error."""
-    seen, grid = list(seen), problem.model.coordinates[i].move.grid
-    errors = each(lambda v: problem.errors(problem.placed(problem.z, i, v))[seen].mean(), grid)
+    model, grid = point.model, point.model.coordinates[i].move.grid
+    errors = parallel_map(lambda v: evidence.at(model, placed(model, point.z, i, v)).error, grid)
     return grid[int(np.argmin(errors))]
 
 
-def _nearby(problem: Measured, i: int, share: float, seen: Sequence[int]) -> np.ndarray:
+def _nearby(part: Objective, at: Point, i: int, share: float) -> np.ndarray:
     """The best of the point itself and those a share of the grid's spacing to both sides."""
-    grid = np.array(problem.model.coordinates[i].move.grid)
-    spacing = np.sort(np.abs(grid - problem.z[i]))[1] * share
-    tried = [np.clip(problem.z[i] + d, *problem.model.ranges[:, i]) for d in (0, -spacing, spacing)]
-    points = [problem.placed(problem.z, i, v) for v in tried]
-    return _best_of(points, problem, seen)
+    model = at.model
+    grid = np.array(model.coordinates[i].move.grid)
+    spacing = np.sort(np.abs(grid - at.z[i]))[1] * share
+    tried = [np.clip(at.z[i] + d, *model.ranges[:, i]) for d in (0, -spacing, spacing)]
+    return _best_of([placed(model, at.z, i, v) for v in tried], part, model)
 
 
-def _finely(problem: Measured, i: int, seen: Sequence[int]) -> np.ndarray:
+def _finely(part: Objective, at: Point, i: int) -> np.ndarray:
     """The best point as near as the search has come so far, in the steps that the move asks for."""
-    move, z = problem.model.coordinates[i].move, problem.z[i]
+    model, move, z = at.model, at.model.coordinates[i].move, at.z[i]
     reach = np.sort(np.abs(np.array(move.grid) - z))[1] / 4
-    tried = np.clip(z + np.arange(-reach, reach, move.fine), *problem.model.ranges[:, i])
-    points = [problem.z, *(problem.placed(problem.z, i, v) for v in tried)]
-    return _best_of(points, problem, seen)
+    tried = np.clip(z + np.arange(-reach, reach, move.fine), *model.ranges[:, i])
+    return _best_of([at.z, *(placed(model, at.z, i, v) for v in tried)], part, model)
 
 
-_CLEARLY = 0.98
-
-
-def _choose_again(problem: Measured, seen: Sequence[int]) -> int | None:
-    """Put the choice that fits best beside the effect into the problem, where it is another; says which.
+def _choose_again(part: Evidence, at: Point, criteria: Criteria) -> int | None:
+    """The number of the choice that fits best beside the effect, where it is another than the base's.
 
     Without its effect a camera is explained best by the demosaicker whose flaws look most like the effect.
     """
-    seen, model = list(seen), problem.model
-    least, best_choice = problem.errors(problem.z)[seen].mean() * _CLEARLY, None
-    for k, choice in enumerate(problem.choices):
-        problem.model = model.chosen(choice)
-        error = problem.errors(problem.z)[seen].mean()
+    least, best = at.error * criteria.chosen_anew, None
+    for k, choice in enumerate(part.choices):
+        error = part.at(at.model.chosen(choice), at.z).error
         if error < least:
-            least, best_choice = error, k
-    problem.model = model
-    if best_choice is not None:
-        problem.choose(problem.choices[best_choice])
-    return best_choice
-
-
-def interval(drop: np.ndarray, whole: np.ndarray | float, seed: int = 0) -> tuple[float, float]:
-    """90 % interval of the mean of (N, U) drops over the whole, by a bootstrap of pairs and their units.
-
-    Where the whole is given unit by unit a scene that has more of the gap is drawn with it, and does not make
-    the share uncertain.
-    """
-    rng = np.random.default_rng(seed)
-    n, u = drop.shape
-    pairs = rng.integers(n, size=(_DRAWS, n))
-    units = rng.integers(u, size=(_DRAWS, n, u))
-    means = np.nanmean(drop[pairs[..., None], units], (1, 2))
-    if isinstance(whole, np.ndarray):
-        sizes = np.nanmean(whole[pairs[..., None], units], (1, 2))
-        whole = np.maximum(sizes, _LEAST_WHOLE * np.nanmean(whole))
-    low, high = np.percentile(means / whole, (5, 95))
-    return float(low), float(high)
-
-
-def few_scenes(count: int | None) -> float:
-    """How many times as wide as a bootstrap's the 90 % interval of a mean over so many independent figures
-    is: Student's t for the normal's, and the variance with n - 1. 1 for one figure; for None, of tiles too.
-    """
-    if count is None or count < 2:
-        return 1.0
-    from scipy.stats import norm, t
-
-    return float(np.sqrt(count / (count - 1)) * t.ppf(0.95, count - 1) / norm.ppf(0.95))
+            least, best = error, k
+    return best

@@ -1,66 +1,59 @@
-"""Which effects cause the gap, one after the other: refitted, accepted where they hold on other scenes.
+"""Which effects cause the gap, one after the other: refitted, accepted where they hold on other scenes."""
 
-Works on anything that has the columns and errors of a `Problem`, residuals or statistics alike.
-"""
-
-import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import Measured, Split
+from jaxisp.gap.case import Tick
+from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.parallel import each
-from jaxisp.gap.search.refit import NEARER, Trial, Whole, distance, nearest_form, refit
+from jaxisp.gap.objective.protocol import Evidence, Point
+from jaxisp.gap.parallel import parallel_map
+from jaxisp.gap.search.refit import distance, nearest_form, refit
 from jaxisp.gap.search.screening import (
-    LEADING,
     best,
-    foretold,
+    closer_in_pixels,
     hidden,
     like_the_nearest,
     lookalikes,
     of_form,
+    predicted,
     screen,
-    told_by_pixels,
 )
-from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.search.trial import Bars, Cause, Trial, Whole
 
-_REFITTED = 6  # of those that screening promises most of
-
-Tick = Callable[[int, int, str], Any]
 Forms = dict[str, np.ndarray]
 
 
 class Terms(NamedTuple):
-    """When an effect counts, and when it is enough.
+    """When an effect counts in this gap, and when it is enough; shares are of the gap.
 
     Attributes:
-        least: the share of the gap that the lower end of its interval must be above.
+        criteria: of the kind of pairs.
+        whole: the gap.
+        least: share that the lower end of an effect's interval must be above.
         most: how many are accepted at most.
-        leading: the share of the gap that the first must close.
-        part: the share of what is left that the lower end must be above.
-        enough: the share of the gap that no other effect is looked for to close.
+        leading: share that the first must close.
+        enough: share left, below which no other effect is looked for.
         apart: of `lookalikes`.
-        seen: effects that the files themselves show; they are refitted whatever they promise.
+        seen: effects that the files themselves show; they are refitted whatever screening predicts.
         plainly: as `least`, of a later effect that pixels show by themselves: beside a large gap another may
             be a small part of it.
-        again: whether the best of a later step are fitted once more, all columns anew: the base there has
-            imitated what was missing.
         visible: of `hidden`.
         bars: as `least`, of effects that must close more than others.
     """
 
+    criteria: Criteria
+    whole: Whole
     least: float
     most: int
-    leading: float = LEADING
-    part: float = 0.0
+    leading: float
     enough: float = -np.inf
     apart: float = np.inf
     seen: Sequence[str] = ()
     plainly: float = np.inf
-    again: bool = False
     visible: float = 0.0
     bars: Mapping[str, float] = MappingProxyType({})
 
@@ -69,58 +62,56 @@ class Searched(NamedTuple):
     """What a search has found.
 
     Attributes:
-        causes: the accepted trials with their look-alikes, in order.
+        causes: the accepted trials with those like them, in order.
         trials: those of the first step.
-        promises: what each effect promised there.
+        predicted: the drop that was predicted of each effect there.
         hidden: effects that these pairs cannot show.
     """
 
-    causes: list[tuple[Trial, list[str]]]
+    causes: list[Cause]
     trials: dict[str, Trial]
-    promises: dict[str, float]
+    predicted: dict[str, float]
     hidden: list[str]
 
 
-def search(
-    problem: Measured, names: Sequence[str], split: Split, whole: Whole, terms: Terms, tick: Tick
-) -> Searched:
-    """Forward steps: the best effect is added and fitted, and all others are tried again. Then one back: what
-    the others make up for was only taken for them."""
+def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms, tick: Tick) -> Searched:
+    """Forward steps: the best effect is added and fitted, and all others are tried again. Then one back: drop
+    effects whose contribution the others can absorb."""
     if not (terms.most and names):
-        promises = screen(problem, names, split)
-        return Searched([], {}, promises, hidden(problem, names, terms.visible))
-    start, left = (problem.model, problem.z), list(names)
-    causes: list[tuple[Trial, list[str]]] = []
+        drops, screened = screen(evidence, start, names)
+        return Searched([], {}, drops, hidden(evidence, screened, names, terms.visible))
+    at, left, criteria = start, list(names), terms.criteria
+    causes: list[Cause] = []
     first_trials: dict[str, Trial] = {}
-    first_promises: dict[str, float] = {}
+    first_drops: dict[str, float] = {}
     unseen: list[str] = []
-    views = _views(problem, split)
+    views = _views(evidence, start)
     for step in range(min(terms.most, len(names))):
         accepted = [t for t, _ in causes]
-        trials, promises = _tried(views, left, accepted, split, whole, terms, tick)
+        trials, drops, at = _tried(evidence, views, left, accepted, terms, tick)
         if step == 0:
-            first_trials, first_promises = {t.effect: t for t in trials}, promises
-            unseen = hidden(problem, names, terms.visible)
-        elif terms.again:
+            first_trials, first_drops = {t.effect: t for t in trials}, drops
+            unseen = hidden(evidence, at, names, terms.visible)
+        elif criteria.anew:
             tick(step, terms.most, "fitting the best anew")
-            trials = _again(problem, start[1], trials, split, whole)
-        views = views[:1]
-        winner = best(trials, terms.seen, _remaining(accepted))
+            trials = _again(evidence, at, start.z, trials, terms)
+        winner = best(trials, criteria, terms.seen, _remaining(accepted))
         if winner is None or (not causes and winner.closed < terms.leading):
             break
-        causes.append((winner, lookalikes(winner, trials, terms.apart)))
+        causes.append((winner, lookalikes(winner, trials, criteria, terms.apart)))
         left.remove(winner.effect)
-        _go_to(problem, winner)
+        at = ended(evidence, at, winner)
+        views = [_View(at)]
         if _remaining([*accepted, winner]) < terms.enough:
             break
     if len(causes) > 1:
         tick(terms.most - 1, terms.most, "looking for effects that the others make up for")
-        needed = _needed(problem, start, [t for t, _ in causes], split, whole, terms)
+        needed = _needed(evidence, start, [t for t, _ in causes], terms)
         if len(needed) < len(causes):
             names_needed = [t.effect for t in needed]
             others = [t for t in first_trials.values() if t.effect not in names_needed]
-            causes = [(t, lookalikes(t, others, terms.apart)) for t in needed]
-    return Searched(causes, first_trials, first_promises, unseen)
+            causes = [(t, lookalikes(t, others, criteria, terms.apart)) for t in needed]
+    return Searched(causes, first_trials, first_drops, unseen)
 
 
 def _remaining(causes: Sequence[Trial]) -> float:
@@ -128,165 +119,166 @@ def _remaining(causes: Sequence[Trial]) -> float:
     return 1.0 - sum(t.closed for t in causes)
 
 
-def _go_to(problem: Measured, trial: Trial) -> None:
-    problem.move_to(trial.z)
-    if trial.choice is not None:
-        problem.choose(trial.choice)
+def ended(evidence: Evidence, point: Point, *trials: Trial) -> Point:
+    """Where these trials, one after the other, have taken a point."""
+    model, z = point.model, point.z
+    for trial in trials:
+        model = model if trial.choice is None else model.chosen(trial.choice)
+        z = trial.z
+    return evidence.at(model, z)
+
+
+class _View(NamedTuple):
+    """Where effects are looked at: a point, and by how much more (N,) it leaves than the one at hand, None
+    for that itself."""
+
+    point: Point
+    more: np.ndarray | None = None
 
 
 def _tried(
-    views: Sequence["_View"],
+    evidence: Evidence,
+    views: Sequence[_View],
     left: Sequence[str],
     causes: Sequence[Trial],
-    split: Split,
-    whole: Whole,
     terms: Terms,
     tick: Tick,
-) -> tuple[list[Trial], dict[str, float]]:
-    """One step: of the effects that are left those that promise most beside the causes, refitted, and what
-    all of them promise."""
-    problem, step, every = views[0].problem, len(causes), (*split.fit, *split.held_out)
+) -> tuple[list[Trial], dict[str, float], Point]:
+    """One step: the effects left whose predicted drop beside the causes is largest, refitted; the predicted
+    drop of all of them; and the point with its columns."""
+    step, split, criteria = len(causes), evidence.split, terms.criteria
+    every = (*split.fit, *split.held_out)
     tick(step, terms.most, "screening effects")
-    promises = _most(views, lambda view: screen(view, left, split), every)
-    forms = _forms(problem, left, split)
-    promises |= {name: max(promises[name], _drop(problem, z, every)) for name, z in forms.items()}
+    screened = [screen(evidence, view.point, left) for view in views]
+    views = [view._replace(point=point) for view, (_, point) in zip(views, screened)]
+    drops = _most(views, [found for found, _ in screened], every)
+    point = views[0].point
+    forms = _forms(evidence, point, left, criteria)
+    drops |= {name: max(drops[name], _drop(evidence, point, z, every)) for name, z in forms.items()}
     rest = _remaining(causes)
-    least = max(terms.least, terms.part * rest)
+    least = max(terms.least, criteria.least_of_rest * rest)
 
     def one(name: str) -> Trial:
         tick(step, terms.most, f"refitting {name}")
-        form_only = of_form(name, causes)
-        own = max(form_only, terms.bars.get(name, 0.0))
-        bar, plainly = max(least, own), max(terms.plainly, own) if step else np.inf
-        return refit(problem, name, split, whole, bar, form=forms.get(name), plainly=plainly, rest=rest)
+        own = max(of_form(name, causes, criteria), terms.bars.get(name, 0.0))
+        bars = Bars(max(least, own), max(terms.plainly, own) if step else np.inf, rest)
+        return refit(evidence, point, name, terms.whole, bars, criteria, form=forms.get(name))
 
-    ranked = sorted(left, key=lambda name: -promises[name])
-    tried = [n for n in ranked[:_REFITTED] if promises[n] > 0.01 * whole.size] or ranked[:1]
+    ranked = sorted(left, key=lambda name: -drops[name])
+    enough = criteria.predicted * terms.whole.size
+    tried = [n for n in ranked[: criteria.refitted] if drops[n] > enough] or ranked[:1]
     tried += [n for n in left if n in terms.seen and n not in tried]
-    trials = each(one, tried)
-    trials += each(one, like_the_nearest(trials, [n for n in left if n not in tried]))
+    trials = parallel_map(one, tried)
+    trials += parallel_map(one, like_the_nearest(trials, [n for n in left if n not in tried], criteria))
     if not causes:
-        promises |= _predicted(views, [t.effect for t in trials], forms, split)
-    return trials, promises
+        drops |= _predicted(evidence, views, [t.effect for t in trials], forms)
+    return trials, drops, point
 
 
 def _again(
-    problem: Measured, first: np.ndarray, trials: Sequence[Trial], split: Split, whole: Whole
+    evidence: Evidence, point: Point, first: np.ndarray, trials: Sequence[Trial], terms: Terms
 ) -> list[Trial]:
     """The trials, the two that matter fitted once more, all columns anew: from where they ended, and from
     there with the base as it was at first. What leaves the least on the fitted pairs stays.
 
     These are the one that closes most, and the one that pixels show best or else closes second most.
     """
-    base, ranked = problem.model.base_indices, sorted(trials, key=lambda t: -t.closed)
+    criteria, base = terms.criteria, point.model.base_indices
+    ranked = sorted(trials, key=lambda t: -t.closed)
     ranked = [t for t in ranked if t.choice is None]  # another demosaicker's base was fitted anew with it
-    nearer = [t for t in ranked[1:] if told_by_pixels(t, ranked[0])]
+    nearer = [t for t in ranked[1:] if closer_in_pixels(t, ranked[0], criteria)]
     second = [min(nearer, key=lambda t: t.farther)] if nearer else ranked[1:2]
-    points = []
+    begun = []
     for trial in (*ranked[:1], *second):
         anew = trial.z.copy()
         anew[base] = first[base]
-        points += [(trial, trial.z), (trial, anew)]
+        begun += [(trial, trial.z), (trial, anew)]
 
-    def begun(point: tuple[Trial, np.ndarray]) -> Trial:
-        trial, z = point
-        return refit(
-            problem, trial.effect, split, whole, trial.least, begin=z, plainly=trial.plainly, rest=trial.rest
-        )
+    def from_there(own: tuple[Trial, np.ndarray]) -> Trial:
+        trial, z = own
+        return refit(evidence, point, trial.effect, terms.whole, trial.bars, criteria, begin=z)
 
-    found = each(begun, points)
+    found = parallel_map(from_there, begun)
     return [min((t, *(f for f in found if f.effect == t.effect)), key=lambda t: t.error) for t in trials]
 
 
-class _View(NamedTuple):
-    """Where effects are looked at: a problem, and by how much more (N,) it leaves than the one at hand, None
-    for that itself."""
-
-    problem: Measured
-    more: np.ndarray | None = None
-
-
-def _views(problem: Measured, split: Split) -> list[_View]:
-    """The problem; and if its base has a rival that with the base fitted beside it."""
-    if problem.rival is None:
-        return [_View(problem)]
-    other = copy.copy(problem)
-    other.choose(problem.rival)
-    part = other.take(split.fit)
-    fit(part, part.model.base_indices, range(len(split.fit)), steps=2)
-    other.move_to(part.z)
-    return [_View(problem), _View(other, other.errors(other.z) - problem.errors(problem.z))]
+def _views(evidence: Evidence, point: Point) -> list[_View]:
+    """The point; and if the base has a rival, that with the base fitted beside it."""
+    if evidence.rival is None:
+        return [_View(point)]
+    other = evidence.at(point.model.chosen(evidence.rival), point.z)
+    part, at = evidence.fitted(other)
+    z = fit(part, at, at.model.base_indices, steps=2).point.z
+    other = evidence.at(other.model, z)
+    return [_View(point), _View(other, other.errors - point.errors)]
 
 
 def _most(
-    views: Sequence[_View], look: Callable[[Measured], dict[str, float]], which: Sequence[int]
+    views: Sequence[_View], found: Sequence[Mapping[str, float]], which: Sequence[int]
 ) -> dict[str, float]:
-    """What is promised of each effect where most is, of the error of the problem at hand."""
+    """The drop of each effect in the view where it is largest, of the error of the point at hand."""
     less = [0.0 if view.more is None else float(view.more[list(which)].mean()) for view in views]
-    found = [look(view.problem) for view in views]
     return {name: max(own[name] - more for own, more in zip(found, less)) for name in found[0]}
 
 
-def _predicted(views: Sequence[_View], names: Sequence[str], forms: Forms, split: Split) -> dict[str, float]:
+def _predicted(
+    evidence: Evidence, views: Sequence[_View], names: Sequence[str], forms: Forms
+) -> dict[str, float]:
     """What is said beforehand of these effects' drop on the held-out pairs: where a form ends, or a step."""
-    held = split.held_out
-    steps = _most(views, lambda view: {name: foretold(view, name, split) for name in names}, held)
-    return steps | {name: _drop(views[0].problem, z, held) for name, z in forms.items()}
+    held = evidence.split.held_out
+    steps = [{name: predicted(evidence, view.point, name) for name in names} for view in views]
+    at_forms = {name: _drop(evidence, views[0].point, z, held) for name, z in forms.items()}
+    return _most(views, steps, held) | at_forms
 
 
-def _forms(problem: Measured, names: Sequence[str], split: Split) -> Forms:
-    """Where effects of exact forms begin: no small step of theirs promises anything."""
-    found = {name: nearest_form(problem, name, split) for name in names}
+def _forms(evidence: Evidence, point: Point, names: Sequence[str], criteria: Criteria) -> Forms:
+    """Where effects of exact forms begin: a small step of theirs predicts nothing."""
+    found = {name: nearest_form(evidence, point, name, criteria) for name in names}
     return {name: z for name, z in found.items() if z is not None}
 
 
-def _drop(problem: Measured, z: np.ndarray, which: Sequence[int]) -> float:
-    return float((problem.errors(problem.z) - problem.errors(z))[list(which)].mean())
+def _drop(evidence: Evidence, point: Point, z: np.ndarray, which: Sequence[int]) -> float:
+    return float((point.errors - evidence.at(point.model, z).errors)[list(which)].mean())
 
 
-def _needed(
-    problem: Measured,
-    start: tuple[Model, np.ndarray],
-    trials: Sequence[Trial],
-    split: Split,
-    whole: Whole,
-    terms: Terms,
-) -> Sequence[Trial]:
+def _needed(evidence: Evidence, start: Point, trials: Sequence[Trial], terms: Terms) -> Sequence[Trial]:
     """These trials, or fewer that close as much but for what nulls have, and leave pixels as near: those
     before the last that the files do not show are left out, one after the other, the rest fitted from where
     all of them ended."""
-    end, near = trials[-1], _apart(problem, split)
+    end, near = trials[-1], _apart(evidence, ended(evidence, start, *trials))
     for left_out in (t for t in trials[:-1] if t.effect not in terms.seen):
         rest = [t.effect for t in trials if t is not left_out]
-        found = replayed(problem, start, rest, end.z, split, whole, terms.least)
-        as_good = found[-1].after - end.after < terms.least * whole.size
-        if all(t.accepted for t in found) and as_good and _apart(problem, split) <= (1 + NEARER) * near:
-            return _needed(problem, start, found, split, whole, terms)
+        found, at = replayed(evidence, start, rest, end.z, terms.whole, terms.least, terms.criteria)
+        as_good = found[-1].after - end.after < terms.least * terms.whole.size
+        enough = as_good and all(t.accepted(terms.criteria) for t in found)
+        if enough and _apart(evidence, at) <= (1 + terms.criteria.nearer) * near:
+            return _needed(evidence, start, found, terms)
     return trials
 
 
-def _apart(problem: Measured, split: Split) -> float:
-    """How far the held-out pixels are where the problem stands, at what is still in that."""
-    return distance(problem.take(split.held_out), problem.model.still(problem.z))
+def _apart(evidence: Evidence, point: Point) -> float:
+    """How far the held-out pixels are at a point, at what is still in that."""
+    return distance(evidence.held_out(point)[0], point.model, point.model.still(point.z))
 
 
 def replayed(
-    problem: Measured,
-    start: tuple[Model, np.ndarray],
+    evidence: Evidence,
+    start: Point,
     names: Sequence[str],
     end: np.ndarray,
-    split: Split,
     whole: Whole,
     least: float,
-) -> list[Trial]:
-    """Trials of these effects one after the other from the start, each begun from what it ended with."""
-    problem.model, z = start
-    problem.move_to(z)
+    criteria: Criteria,
+) -> tuple[list[Trial], Point]:
+    """Trials of these effects one after the other from the start, each begun from what it ended with; and
+    where they end."""
+    at, model = start, start.model
     found: list[Trial] = []
     for k, name in enumerate(names):
-        off = problem.model.indices(set(problem.model.effects) - set(names[: k + 1]))
+        off = model.indices(set(model.effects) - set(names[: k + 1]))
         begin = end.copy()
         begin[off] = 0
-        found.append(refit(problem, name, split, whole, least, begin=begin, rest=_remaining(found)))
-        _go_to(problem, found[-1])
-    return found
+        bars = Bars(least, rest=_remaining(found))
+        found.append(refit(evidence, at.with_columns({}), name, whole, bars, criteria, begin=begin))
+        at = ended(evidence, at, found[-1])
+    return found, at

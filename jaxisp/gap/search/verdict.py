@@ -7,31 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxisp.gap.case import LEAST_UNIT, NULL_DROP, NULL_EXCESS, Case, Gap, Measured
+from jaxisp.gap.case import Case, Gap, Tick
+from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.search.account import Shown, accounted, shown
-from jaxisp.gap.search.film_grain import Cause, grain_trial, with_grain
-from jaxisp.gap.search.refit import SMALLEST, Trial, Whole
-from jaxisp.gap.search.screening import LEADING
-from jaxisp.gap.search.stepwise import Terms, Tick, replayed, search
-from jaxisp.gap.simulator.effects import RAW_JPEG
-from jaxisp.gap.simulator.model import Model
-
-MOST_CAUSES = 3
-APART = {RAW_JPEG: np.inf, "clean+noisy": 0.35}
-"""By how much, as a share of the floor, what two effects leave must differ for them to be told apart: in
-statistics by what is harmless, in pixels by a share of the gap only."""
-LEAST_CLOSED = {RAW_JPEG: 0.0, "clean+noisy": 0.15}
-"""What the lower end of an effect's interval must be above: many effects lower some statistics a little."""
+from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
+from jaxisp.gap.search.refit import clustered
+from jaxisp.gap.search.stepwise import Terms, ended, replayed, search
+from jaxisp.gap.search.trial import Cause, Trial, Whole
 
 
 class Refused(NamedTuple):
-    """What comes nearest but does not account for the gap: causes, what shows with them, and the model and
-    the point that they take the problem to."""
+    """What comes nearest but does not account for the gap: causes, what shows with them, and the point that
+    they lead to."""
 
     causes: list[Cause]
     after: Shown
-    model: Model
-    z: np.ndarray
+    point: Point
 
 
 class Found(NamedTuple):
@@ -39,16 +30,18 @@ class Found(NamedTuple):
 
     Attributes:
         causes: the accepted effects, each with those like it.
+        point: where they lead.
         trials: all that were refitted at first.
-        promises: what screening predicted, by effect.
+        predicted: the drop that screening predicted, by effect.
         before, after: what shows of the gap without and with the causes.
         refused: where there is no cause, what comes nearest.
         hidden: effects that these pairs cannot show.
     """
 
     causes: list[Cause]
+    point: Point
     trials: dict[str, Trial]
-    promises: dict[str, float]
+    predicted: dict[str, float]
     before: Shown
     after: Shown
     refused: Refused | None = None
@@ -60,98 +53,99 @@ class Found(NamedTuple):
         return [] if self.refused is None else [trial for trial, _ in self.refused.causes]
 
 
-def gap_at(case: Case) -> Gap:
-    held = list(case.split.held_out)
-    before = float(np.nanmean(case.problem.units(case.problem.z)[held]))
-    return Gap(before, float(min(case.floors[held].mean(), before)), LEAST_UNIT[case.kind])
-
-
 def whole_of(case: Case, size: float) -> Whole:
     """The gap above the floor, unit by unit of the held-out pairs."""
-    problem, held = case.problem, list(case.split.held_out)
-    above = problem.units(problem.z)[held] - case.floors[held][:, None]
-    return Whole(size, problem.clustered(above, held))
+    held = list(case.split.held_out)
+    above = case.evidence.units(case.point)[held] - case.floors[held][:, None]
+    return Whole(size, clustered(case.evidence, above))
+
+
+def terms_of(case: Case, gap: Gap) -> Terms:
+    """When an effect counts in this gap: the criteria as shares of it."""
+    criteria, scale, model = case.criteria, gap.scale, case.point.model
+    harmless = criteria.null_drop * gap.unit / scale
+    alone = max(harmless, criteria.smallest)
+    visible = criteria.null_excess * gap.unit
+    # a second compression on the file's own grid imitates a little of any other compression
+    references = set(case.evidence.references)
+    barred = [name for name in model.effects if references & set(model.indices([name]))]
+    return Terms(
+        criteria,
+        whole_of(case, scale),
+        least=alone,
+        most=criteria.most_causes if gap.exceeds(criteria.null_drop) else 0,
+        leading=criteria.leading * (1 - _grain_closes(case, scale, alone)),
+        enough=alone if criteria.least_of_rest else -np.inf,
+        apart=criteria.apart * gap.unit / scale,
+        seen=case.seen,
+        plainly=harmless,
+        visible=visible,
+        bars=dict.fromkeys(barred, visible / scale),
+    )
 
 
 def searched(case: Case, gap: Gap, tick: Tick) -> Found:
-    """Moves the problem to where its causes take it: as many of those found as account for the gap."""
-    problem, scale, kind, held = case.problem, gap.scale, case.kind, case.split.held_out
-    start, before = (problem.model, problem.z.copy()), shown(problem, held)
-    could = gap.exceeds(NULL_DROP[kind])  # smoothing alone can come nearer than the floor
-    alone = max(NULL_DROP[kind] * gap.unit / scale, SMALLEST)
-    most, enough = MOST_CAUSES if could else 0, alone if LEAST_CLOSED[kind] else -np.inf
-    leading = LEADING * (1 - _grain_closes(case, scale, alone))
-    part, apart = LEAST_CLOSED[kind], APART[kind] * gap.unit / scale
-    plainly, again = NULL_DROP[kind] * gap.unit / scale, kind != RAW_JPEG  # whose columns are taken along
-    visible = NULL_EXCESS[kind] * gap.unit
-    # on the file's own grid one more compression imitates a little of whatever compresses otherwise
-    model, references = problem.model, set(problem.references)
-    bars = {name: visible / scale for name in model.effects if references & set(model.indices([name]))}
-    terms = Terms(alone, most, leading, part, enough, apart, case.seen, plainly, again, visible, bars)
-    whole = whole_of(case, scale)
-    found = search(problem, case.offered, case.split, whole, terms, tick)
-    steps, trials, promises = found.causes, found.trials, found.promises
+    """As many of the causes found as account for the gap."""
+    evidence, criteria, start = case.evidence, case.criteria, case.point
+    before, terms = shown(evidence, start), terms_of(case, gap)
+    found = search(evidence, start, case.offered, terms, tick)
+    steps, trials, predicted = found.causes, found.trials, found.predicted
     refused: Refused | None = None
     for count in range(len(steps), -1, -1):
-        _stand_at(problem, start, steps[:count])
         causes = steps[:count]
+        at = ended(evidence, start, *(t for t, _ in causes))
         if case.stored is not None:
-            grain = grain_trial(problem, case.stored, case.split, scale, alone)
-            causes = with_grain(causes, grain, gap.floor)
+            grain = _grain(case, at, gap.scale, terms.least)
+            causes = with_grain(causes, grain, gap.floor, criteria)
             if count == len(steps):
-                trials, promises = trials | {"film_grain": grain}, promises | {"film_grain": grain.gain}
-        if could and causes and max(t.closed for t, _ in causes) >= LEADING:
-            after, names, left = shown(problem, held), [t.effect for t, _ in causes], causes[-1][0].after
-            if accounted(kind, names, before, after, gap, left):
-                causes, after = _as_added(case, start, causes, after, whole, alone)
-                return Found(causes, trials, promises, before, after, hidden=found.hidden)
-            refused = refused or Refused(by_closure(causes), after, problem.model, problem.z.copy())
-    return Found([], trials, promises, before, before, refused, found.hidden)
+                trials, predicted = trials | {"film_grain": grain}, predicted | {"film_grain": grain.gain}
+        # smoothing alone can come nearer than the floor: then nothing is a cause
+        if terms.most and causes and max(t.closed for t, _ in causes) >= criteria.leading:
+            after, names, left = shown(evidence, at), [t.effect for t, _ in causes], causes[-1][0].after
+            if accounted(criteria, names, before, after, gap, left):
+                causes, after, at = _as_added(case, causes, after, at, terms)
+                return Found(causes, at, trials, predicted, before, after, hidden=found.hidden)
+            refused = refused or Refused(by_closure(causes), after, at)
+    return Found([], start, trials, predicted, before, before, refused, found.hidden)
+
+
+def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
+    """Film grain, where the files' own doing is known and pixels are compared."""
+    pixels, stored = case.pixels, case.stored
+    assert pixels is not None and stored is not None
+    seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
+    return grain_trial(seen, stored, at.z, scale, least)
 
 
 def _grain_closes(case: Case, scale: float, least: float) -> float:
     """The share of the gap that film grain accounts for at the base: no effect can lead with that."""
     if case.stored is None:
         return 0.0
-    grain = grain_trial(case.problem, case.stored, case.split, scale, least)
-    return min(max(grain.closed, 0.0), 1.0) if grain.accepted else 0.0
-
-
-def _stand_at(problem: Measured, start: tuple[Model, np.ndarray], steps: Sequence[Cause]) -> None:
-    """Put the problem where these steps have taken it from its start."""
-    problem.model, z = start
-    for trial, _ in steps:
-        problem.model = problem.model if trial.choice is None else problem.model.chosen(trial.choice)
-        z = trial.z
-    problem.move_to(z)
+    grain = _grain(case, case.point, scale, least)
+    return min(max(grain.closed, 0.0), 1.0) if grain.accepted(case.criteria) else 0.0
 
 
 def _as_added(
-    case: Case,
-    start: tuple[Model, np.ndarray],
-    causes: Sequence[Cause],
-    after: Shown,
-    whole: Whole,
-    harmless: float,
-) -> tuple[list[Cause], Shown]:
-    """The causes by decreasing closure, each measured where those before it are in, and what shows with them.
+    case: Case, causes: Sequence[Cause], after: Shown, at: Point, terms: Terms
+) -> tuple[list[Cause], Shown, Point]:
+    """The causes by decreasing closure, each measured where those before it are in, what shows with them, and
+    where they lead.
 
     What was found in another order is fitted again in this one, from where it ended. Should it close in yet
-    another order then, or leave more by a `harmless` share of the gap, it stays as it was, as `by_closure`
+    another order then, or leave more by a harmless share of the gap, it stays as it was, as `by_closure`
     has it; so does film grain beside a RAW, which is not fitted.
     """
     alike = {trial.effect: names for trial, names in causes}
     order = [t.effect for t in sorted((t for t, _ in causes), key=lambda t: -t.closed)]
     if order == list(alike) or (case.stored is not None and "film_grain" in alike):
-        return by_closure(causes), after
-    problem, end = case.problem, (case.problem.model, case.problem.z.copy())
-    trials = replayed(problem, start, order, end[1], case.split, whole, 0.0)
-    as_good = trials[-1].after - causes[-1][0].after < harmless * whole.size
+        return by_closure(causes), after, at
+    whole, criteria = terms.whole, case.criteria
+    trials, end = replayed(case.evidence, case.point, order, at.z, whole, 0.0, criteria)
+    as_good = trials[-1].after - causes[-1][0].after < terms.least * whole.size
     as_told = all(a.closed >= b.closed for a, b in itertools.pairwise(trials))
-    if as_good and as_told and all(t.low > SMALLEST for t in trials):
-        return [(t, alike[t.effect]) for t in trials], shown(problem, case.split.held_out)
-    _stand_at(problem, end, [])
-    return by_closure(causes), after
+    if as_good and as_told and all(t.low > criteria.smallest for t in trials):
+        return [(t, alike[t.effect]) for t in trials], shown(case.evidence, end), end
+    return by_closure(causes), after, at
 
 
 def by_closure(causes: Sequence[Cause]) -> list[Cause]:

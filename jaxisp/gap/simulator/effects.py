@@ -5,13 +5,13 @@ its parameters may move. Users add their own with `register_effect`.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from jaxisp.errors import meant
+from jaxisp.errors import InputError, meant
 from jaxisp.pipeline import Node, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS
 from jaxisp.stages.look import SECTORS
@@ -361,3 +361,14 @@ _add(
     [Move("std", 0.02, 0, 0.2), Move("sigma", 0.15, -0.4, 0.8, off=0.8)],
     "intensity frequency lag", "noise_level correlated_noise", random=True,
 )  # fmt: skip
+
+
+def candidates(kind: str, exclude: Sequence[str] = ()) -> list[Effect]:
+    """The effects that this kind of data can show, less those excluded."""
+    for name in exclude:
+        if name not in EFFECTS:
+            among = meant(name, EFFECTS) or f"; there are {', '.join(EFFECTS)}"
+            raise InputError(f"no effect named {name!r}{among}")
+    tried = [e for e in EFFECTS.values() if kind in e.shows_in and e.name not in exclude]
+    # beside a RAW, noise that is added later cannot be predicted pixel by pixel
+    return [e for e in tried if not (e.random and kind == RAW_JPEG)]

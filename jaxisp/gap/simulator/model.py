@@ -6,7 +6,7 @@ is on. At z = 0 the picture is the base's, bit for bit.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -17,12 +17,10 @@ from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move
 from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
-from jaxisp.stages.choice import ChromaSubsampling
+from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.power import Gamma
 
 KNOTS = 12
-HALVED = {"4:2:0": (1, 1), "4:2:2": (1, 0)}
-"""Whether a file halves columns and rows of chroma."""
 COMPANDING, EXPANSION = "companding", "expansion"
 """What may be done to the mosaic before it is demosaicked, and the node that undoes it."""
 ROOTED = 0.98
@@ -39,15 +37,15 @@ class Coordinate:
 
 
 @dataclasses.dataclass(frozen=True)
-class Choice:
-    """Parameters of the base that are chosen, not fitted: of its demosaicking, say."""
+class Variant:
+    """Parameters of the base that are chosen, not fitted: its demosaicker, say."""
 
     shared: Params
     per_pair: Params
 
-    def take(self, which: Sequence[int]) -> "Choice":
-        """The choice for some of the pairs."""
-        return Choice(self.shared, _of_pairs(self.per_pair, which))
+    def take(self, which: Sequence[int]) -> "Variant":
+        """The variant for some of the pairs."""
+        return Variant(self.shared, _of_pairs(self.per_pair, which))
 
 
 def _of_pairs(per_pair: Params, which: Sequence[int]) -> Params:
@@ -66,7 +64,7 @@ class Model:
         shared: parameters at z = 0, the same for all pairs.
         per_pair: parameters with a leading axis over the pairs; they hold where both have a node.
         kept: what was rendered, shared with the models made of this one.
-        tied: puts what follows from other parameters, and so is no coordinate, into them.
+        tied: computes the parameters that follow from others; these are not coordinates.
     """
 
     chain: Chain
@@ -76,6 +74,13 @@ class Model:
     per_pair: Params
     kept: Kept = dataclasses.field(default_factory=Kept, compare=False, repr=False)
     tied: Callable[[Params], Params] | None = None
+
+    @functools.cached_property
+    def key(self) -> Hashable:
+        """What its pictures depend on beside z, light and keys, by value: equal models have equal keys."""
+        params = (leaf for p in (self.shared, self.per_pair) for leaf in jax.tree.leaves(p))
+        values = tuple(np.asarray(leaf).tobytes() for leaf in params)
+        return self.chain, self.base, tuple(self.effects.items()), self.tied, values
 
     @functools.cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -166,10 +171,10 @@ class Model:
         """The model with other parameters at z = 0; the bounds of its coordinates stay."""
         return dataclasses.replace(self, shared=shared)
 
-    def chosen(self, choice: "Choice") -> "Model":
-        """The model with a choice in place of its own."""
-        per_pair = self.per_pair | choice.per_pair
-        return dataclasses.replace(self, shared=self.shared | choice.shared, per_pair=per_pair)
+    def chosen(self, variant: Variant) -> "Model":
+        """The model with a variant's parameters in place of its own."""
+        per_pair = self.per_pair | variant.per_pair
+        return dataclasses.replace(self, shared=self.shared | variant.shared, per_pair=per_pair)
 
     def moved(self, z: np.ndarray) -> "Model":
         """The model with z = 0 put where z is for the base's parameters (effects keep theirs)."""
@@ -300,3 +305,7 @@ def plain_freedom() -> list[Coordinate]:
     ]
     curve = [Coordinate("tone_curve", Move("offsets", 0.02, -0.6, 0.6, (i,))) for i in range(KNOTS)]
     return [Coordinate("black_level_offset", Move("offset", 0.002, -0.1, 0.1)), *matrix, *curve]
+
+
+MIXING = "mixing"
+"""The node that takes what the sensor saw back to the clean picture's colours."""

@@ -7,6 +7,7 @@ again. Here each node is compiled when it is first on, and runs where it, or wha
 import functools
 import threading
 from collections import OrderedDict
+from collections.abc import Hashable
 from typing import Any
 
 import jax
@@ -30,14 +31,16 @@ class Kept:
 
     def __init__(self) -> None:
         self.pictures: OrderedDict[Any, jax.Array] = OrderedDict()
-        self._lights: list[jax.Array] = []  # held on to, so that an id stays theirs
+        self._lights: list[jax.Array] = []
         self._lock = threading.Lock()
 
-    def root(self, light: jax.Array, keys: jax.Array | None) -> Any:
-        """What the first picture goes by."""
-        if not any(light is known for known in self._lights):
-            self._lights.append(light)
-        return id(light), None if keys is None else np.asarray(jax.random.key_data(keys)).tobytes()
+    def root(self, light: jax.Array, keys: jax.Array | None) -> Hashable:
+        """What the first picture goes by: the number of its light, and its keys."""
+        with self._lock:
+            number = next((i for i, known in enumerate(self._lights) if known is light), len(self._lights))
+            if number == len(self._lights):
+                self._lights.append(light)
+        return number, None if keys is None else np.asarray(jax.random.key_data(keys)).tobytes()
 
     def get(self, key: Any) -> jax.Array | None:
         with self._lock:

@@ -13,7 +13,6 @@ from jaxisp.stages.demosaic.markesteijn import demosaic_markesteijn
 from jaxisp.stages.demosaic.median import color_difference_median
 from jaxisp.stages.demosaic.menon import demosaic_menon
 from jaxisp.stages.demosaic.normalized_convolution import demosaic_normalized_convolution
-from jaxisp.stages.demosaic.strips import reach
 from jaxisp.stages.demosaic.vng import demosaic_vng
 
 __all__ = [
@@ -28,5 +27,4 @@ __all__ = [
     "demosaic_menon",
     "demosaic_normalized_convolution",
     "demosaic_vng",
-    "reach",
 ]

@@ -1,7 +1,7 @@
 """Hirakawa & Parks's adaptive homogeneity-directed demosaicking."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jaxisp.arrays.stencils import pad
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
+from jaxisp.options import Count, Positive, one_of
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
     Pair,
@@ -29,10 +30,17 @@ from jaxisp.stages.demosaic.homogeneity import homogeneity_lead
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 from jaxisp.stages.demosaic.median import smooth_differences
 
+Variant = Annotated[str, one_of("paper", "libraw")]
 
-@register
+
+@register(reach=lambda o: _reach(o["delta"]) + 2 * o["median_passes"])
 def demosaic_ahd(
-    image: Mosaic, *, cfa: Bayer = "RGGB", delta: int = 2, median_passes: int = 0, variant: str = "paper"
+    image: Mosaic,
+    *,
+    cfa: Bayer = "RGGB",
+    delta: Positive = 2,
+    median_passes: Count = 0,
+    variant: Variant = "paper",
 ) -> CameraRGB:
     """Interpolate along rows and along columns, and keep at each pixel the one that looks more homogeneous.
 
@@ -79,9 +87,9 @@ def demosaic_ahd(
     return interleaved(smooth_differences((red, green, blue), median_passes))
 
 
-def reach(delta: int = 2, median_passes: int = 0) -> int:
-    """How far from a pixel its result depends on the mosaic [px]."""
-    return 4 + delta + 2 * median_passes
+def _reach(delta: int) -> int:
+    """How far from a pixel the choice between the candidates depends on the mosaic [px]."""
+    return 4 + delta
 
 
 class _Options(NamedTuple):
@@ -93,7 +101,7 @@ class _Options(NamedTuple):
 
 def _evaluate(how: _Options, image: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """The picture, and the decisions: the share of the candidate along rows, then LibRaw's."""
-    rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, reach(how.delta))
+    rgb, decisions = in_strips_on_cpu(partial(_chosen, how), image, _reach(how.delta))
     return _joined(how, rgb), decisions
 
 

@@ -20,11 +20,8 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored
 
-REACH = 1
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=1)
 def demosaic_bilinear(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Fill in each colour by the mean of its nearest samples: blurs, and leaves zipper and colour fringes.
 

@@ -14,11 +14,8 @@ from jaxisp.stages.demosaic.common import collect, diagonal_sum, red_and_blue, r
 from jaxisp.stages.demosaic.hamilton_adams import share_of_rows
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 1
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=1)
 def demosaic_edge_aware(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, red and blue bilinearly.
 

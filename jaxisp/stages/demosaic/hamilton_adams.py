@@ -22,11 +22,8 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 3
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=3)
 def demosaic_hamilton_adams(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction that is flatter in green and in the pixel's own colour.
 

@@ -20,11 +20,8 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=2)
 def demosaic_hibbard(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, then the differences from green.
 

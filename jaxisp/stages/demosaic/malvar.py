@@ -20,11 +20,8 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored
 
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=2)
 def demosaic_malvar(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Bilinear interpolation plus a share of the Laplacian of the colour measured on the spot.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from functools import partial, reduce
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,9 @@ from jaxisp.arrays.stencils import square
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.cfa import XTRANS, XTrans, check_xtrans
 from jaxisp.domains import CameraRGB, Mosaic
+from jaxisp.options import Limit
 from jaxisp.pipeline import register
+from jaxisp.registry import LARGEST_CELL
 from jaxisp.stages.demosaic.common import Planes
 from jaxisp.stages.demosaic.homogeneity import lab
 from jaxisp.stages.demosaic.lattice import (
@@ -33,12 +36,13 @@ from jaxisp.stages.demosaic.lattice import (
 
 LINES: tuple[Place, ...] = ((0, 1), (1, 0), (1, 1), (1, -1))
 """The directions of the four candidates: along rows, along columns, and the two diagonals."""
+Passes = Annotated[int, Limit("1 or 3", lambda passes: passes in (1, 3))]
 _JUDGED = 4  # px around a pixel on which the choice among its candidates depends
 
 
-@register
+@register(reach=lambda o: _reach(o["passes"]), block=LARGEST_CELL)
 def demosaic_markesteijn(
-    image: Mosaic, *, cfa: XTrans = XTRANS, passes: int = 3, clipped: bool = True
+    image: Mosaic, *, cfa: XTrans = XTRANS, passes: Passes = 3, clipped: bool = True
 ) -> CameraRGB:
     """Interpolate X-Trans along four directions, and average the candidates that look most homogeneous.
 
@@ -76,17 +80,17 @@ def demosaic_markesteijn(
         raise ValueError(f"demosaic_markesteijn: passes must be 1 or 3, got {passes}")
     if min(image.shape) < 6:
         raise ValueError(f"demosaic_markesteijn: takes 6 x 6 pixels or more, got {image.shape}")
-    rgb = in_strips_on_cpu(partial(_demosaic, cfa, passes, clipped), image, reach(passes), unit=6)
+    rgb = in_strips_on_cpu(partial(_demosaic, cfa, passes, clipped), image, _reach(passes), unit=LARGEST_CELL)
     return interleaved(rgb)
 
 
-def reach(passes: int = 3) -> int:
+def _reach(passes: int) -> int:
     """How far from a pixel its result depends on the mosaic [px]."""
     return _JUDGED + {1: 8, 3: 22}[passes]
 
 
 def _demosaic(cfa: str, passes: int, clipped: bool, image: jax.Array) -> Planes:
-    on = frame((image.shape[0], image.shape[1]), cfa, reach(passes))
+    on = frame((image.shape[0], image.shape[1]), cfa, _reach(passes))
     candidates = _candidates(split(image, on), on, passes, clipped)
     weights = lax.stop_gradient(_weights(candidates))
     inner = slice(_JUDGED, -_JUDGED)

@@ -9,6 +9,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.domains import CameraRGB
+from jaxisp.options import Count
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Planes
 from jaxisp.stages.denoise.median import median_plane
@@ -42,8 +43,8 @@ def _smooth_differences(passes: int, rgb: Planes) -> Planes:
     return green + differences[0], green, green + differences[1]
 
 
-@register
-def color_difference_median(image: CameraRGB, *, passes: int = 1) -> CameraRGB:
+@register(reach=lambda o: 2 * o["passes"])
+def color_difference_median(image: CameraRGB, *, passes: Count = 1) -> CameraRGB:
     """Take away isolated false colour after demosaicking: 3x3 medians of the colour differences.
 
     A pass is `R = med(R - G) + G`, `B = med(B - G) + G`, then with these

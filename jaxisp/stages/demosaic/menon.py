@@ -21,11 +21,8 @@ from jaxisp.stages.demosaic.common import (
 )
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
-REACH = 8
-"""How far from a pixel its result depends on the mosaic [px]."""
 
-
-@register
+@register(reach=8)
 def demosaic_menon(image: Mosaic, *, cfa: Bayer = "RGGB", refining: bool = True) -> CameraRGB:
     """Interpolate green along rows and along columns, keep where colour differences vary less, and refine.
 

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 
 from jaxisp.arrays.planes import interleaved
 from jaxisp.arrays.stencils import filter_rows_columns
-from jaxisp.cfa import Cfa, is_xtrans, masks
+from jaxisp.cfa import Pattern, is_xtrans, masks, rows_of_cell
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 
 
-@register
-def demosaic_normalized_convolution(image: Mosaic, *, cfa: Cfa = "RGGB") -> CameraRGB:
+@register(reach=lambda o: _reach(o["cfa"]), block=rows_of_cell)
+def demosaic_normalized_convolution(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     """Fill in each colour by the mean of its samples nearby, weighted by distance: robust, and blurs.
 
     `y_c = (k * m_c x) / (k * m_c)` where colour c was not measured; m_c is 1 where it was, `*` convolves.
@@ -33,7 +33,7 @@ def demosaic_normalized_convolution(image: Mosaic, *, cfa: Cfa = "RGGB") -> Came
 
     Source: Knutsson & Westin 1993, "Normalized and differential convolution".
     """
-    distance = reach(cfa)
+    distance = _reach(cfa)
     taps = [distance + 1.0 - abs(i) for i in range(-distance, distance + 1)]
 
     def near(samples: list[jax.Array]) -> jax.Array:
@@ -46,6 +46,6 @@ def demosaic_normalized_convolution(image: Mosaic, *, cfa: Cfa = "RGGB") -> Came
     return jnp.where(measured > 0, image[..., None], means)
 
 
-def reach(cfa: str = "RGGB") -> int:
+def _reach(cfa: str) -> int:
     """How far from a pixel its result depends on the mosaic [px]."""
     return 2 if is_xtrans(cfa) else 1

@@ -14,15 +14,12 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Sites, sites
 from jaxisp.stages.demosaic.linear import piecewise_linear
 
-REACH = 2
-"""How far from a pixel its result depends on the mosaic [px]."""
-
 Offset = tuple[int, int]
 _STRAIGHT: list[Offset] = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 _DIAGONAL: list[Offset] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
 
 
-@register
+@register(reach=2)
 def demosaic_vng(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Take colour differences from those of eight directions whose gradients are small.
 

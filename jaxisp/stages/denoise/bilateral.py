@@ -1,9 +1,9 @@
 """Bilateral filtering of luma and chroma."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from jaxisp.arrays.stencils import edge_counts, pad, views
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
+from jaxisp.options import Positive, at_least, even
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.grid import grid_planes
@@ -48,16 +49,23 @@ class Bilateral:
     )
 
 
-@register
+def _reach(options: Mapping[str, Any]) -> int | None:
+    """None on a grid, which has a place of its own in the frame."""
+    if options["chroma_cell"]:
+        return None
+    return int(options["iterations"] * (options["radius"] + options["chroma_radius"]))
+
+
+@register(reach=_reach)
 def bilateral(
     params: Bilateral,
     image: RGB,
     *,
-    radius: int = 5,
-    chroma_radius: int = 5,
-    chroma_cell: int = 0,
-    chroma_bins: int = 32,
-    iterations: int = 1,
+    radius: Positive = 5,
+    chroma_radius: Positive = 5,
+    chroma_cell: Annotated[int, at_least(0), even] = 0,
+    chroma_bins: Annotated[int, at_least(2)] = 32,
+    iterations: Positive = 1,
 ) -> RGB:
     """Smooth luma and chroma where luma is alike, and keep its edges.
 

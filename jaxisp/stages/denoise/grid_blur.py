@@ -15,6 +15,7 @@ from jaxisp.arrays.linear import fused_sum, linear_call, scaled
 Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
 
 _AT_ONCE = 8  # planes, where memory is to be little
+_ROWS = 16  # so many that XLA takes one way of multiplying for every batch
 _times = partial(jnp.matmul, precision=lax.Precision.HIGHEST)  # a GPU would round to 10 bits
 
 
@@ -117,4 +118,8 @@ def _gaussian(n: int, variance: jax.Array) -> jax.Array:
     share = np.where(k % n == 0, 1, 2) / (2 * n)
     lags = np.cos(np.pi / n * np.outer(k[:n], k)) * share
     decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    return _times(jnp.asarray(lags, variance.dtype), decay)[np.abs(k[:n, None] - k[:n])]
+    # of sixteen rows that are the same, as XLA sums a product of few in another order; with the barrier it
+    # does not see that one would do
+    rows = jnp.broadcast_to(decay, (_ROWS, n + 1))
+    products = _times(rows, lax.optimization_barrier(jnp.asarray(lags, variance.dtype)).T)
+    return products[0][np.abs(k[:n, None] - k[:n])]

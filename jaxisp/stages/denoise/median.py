@@ -1,7 +1,7 @@
 """Median filtering of luma and chroma."""
 
 from functools import partial, reduce
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jaxisp.arrays.stencils import edge_counts, pad, views
 from jaxisp.arrays.strips import in_strips_on_cpu
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
+from jaxisp.options import Positive, one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.networks import MEDIANS
@@ -97,15 +98,15 @@ class Median:
     strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
 
 
-@register
+@register(reach=lambda o: o["iterations"] * _reach(MEDIANS[o["footprint"]][1]))
 def median(
     params: Median,
     image: RGB,
     *,
-    footprint: str = "3x3",
+    footprint: Annotated[str, one_of(*MEDIANS)] = "3x3",
     luma: bool = True,
     chroma: bool = True,
-    iterations: int = 1,
+    iterations: Positive = 1,
 ) -> RGB:
     """Replace luma and chroma by the median of a neighbourhood: removes specks, keeps edges.
 

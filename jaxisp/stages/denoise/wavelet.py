@@ -1,6 +1,6 @@
 """Wavelet coring of luma and chroma, and a noise estimate."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +10,16 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
+from jaxisp.options import Positive, one_of
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.dwt import SCALING, analyse, synthesise
 
 METHODS = ("bayes", "visu", "fixed")
+
+
+Wavelet = Annotated[str, one_of(*SCALING)]
+Method = Annotated[str, one_of(*METHODS)]
 
 
 @parameters
@@ -32,7 +37,12 @@ class WaveletCoring:
 
 @register
 def wavelet_coring(
-    params: WaveletCoring, image: RGB, *, wavelet: str = "db2", levels: int = 3, method: str = "bayes"
+    params: WaveletCoring,
+    image: RGB,
+    *,
+    wavelet: Wavelet = "db2",
+    levels: Positive = 3,
+    method: Method = "bayes",
 ) -> RGB:
     """Shrink small wavelet coefficients of luma and chroma to zero.
 
@@ -73,7 +83,12 @@ def wavelet_coring(
 
 
 def core_plane(
-    plane: jax.Array, sigma: Any, strength: Any, wavelet: str = "db2", levels: int = 3, method: str = "bayes"
+    plane: jax.Array,
+    sigma: Any,
+    strength: Any,
+    wavelet: Wavelet = "db2",
+    levels: Positive = 3,
+    method: Method = "bayes",
 ) -> jax.Array:
     """Wavelet coring of one (H, W) plane with noise of standard deviation sigma; see `wavelet_coring`."""
     pyramid, low = [], plane

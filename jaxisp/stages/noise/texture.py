@@ -8,6 +8,7 @@ from jaxisp.arrays.safe_math import safe_sqrt
 from jaxisp.arrays.stencils import gaussian_blur, gaussian_taps
 from jaxisp.color import luma
 from jaxisp.domains import EncodedRGB, Image
+from jaxisp.options import Positive
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.noise.draws import filtered_normal, normal
@@ -94,7 +95,7 @@ class FilmGrain:
 
 
 @register
-def film_grain(params: FilmGrain, image: EncodedRGB, *, key: jax.Array, radius: int = 6) -> EncodedRGB:
+def film_grain(params: FilmGrain, image: EncodedRGB, *, key: jax.Array, radius: Positive = 6) -> EncodedRGB:
     """Add grain after the tone curve: blurred noise, strongest in mid-grey, none in black and white.
 
     `y = x + std * 2 sqrt(Y (1 - Y)) * g`, g white noise blurred by a Gaussian and scaled to unit

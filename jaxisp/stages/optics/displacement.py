@@ -2,7 +2,7 @@
 
 import math
 from functools import partial, reduce
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,9 @@ from jaxisp.arrays.linear import inner_product, linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip
 from jaxisp.arrays.stencils import pad, views
+from jaxisp.arrays.varying import alike
 from jaxisp.domains import LinearRGB
+from jaxisp.options import at_least
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.optics.centre import from_centre, radius_squared
@@ -34,7 +36,7 @@ class LateralChromaticAberration:
 
 @register
 def lateral_chromatic_aberration(
-    params: LateralChromaticAberration, image: LinearRGB, *, most: float = 0.01
+    params: LateralChromaticAberration, image: LinearRGB, *, most: Annotated[float, at_least(0)] = 0.01
 ) -> LinearRGB:
     """Magnify red and blue about the image centre; green stays.
 
@@ -288,7 +290,7 @@ def _returned(primals: Places, cotangent: jax.Array) -> Places:
             put = [lax.dynamic_update_slice_in_dim(v, p, start, 0) for v, p in zip(results[1:], places)]
             return total, put[0], put[1]
 
-        plane = jnp.zeros((h, w), image.dtype)
+        plane = alike(jnp.zeros((h, w), image.dtype), image, full)
         return lax.fori_loop(0, -(-h // rows), body, (jnp.zeros_like(image), plane, plane))
 
     if h <= 2 * rows:

@@ -18,7 +18,7 @@ class Exposure:
     exposure_ev: Leaf = param(0.0, (-8.0, 8.0), "EV", doc="one more doubles the light")
 
 
-@register
+@register(reach=0)
 def exposure(params: Exposure, image: LinearRGB) -> LinearRGB:
     """Give more or less light.
 
@@ -46,7 +46,7 @@ class AffineExposure:
     offset: Leaf = param(0.0, (-0.5, 0.5), "level", doc="is added after the gain")
 
 
-@register
+@register(reach=0)
 def affine_exposure(params: AffineExposure, image: LinearRGB) -> LinearRGB:
     """Scale the light and add a constant.
 

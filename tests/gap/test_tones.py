@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxisp.gap.objective import tones
+from jaxisp.gap.objective.protocol import NormalEquations
 
 
 def test_blocks_are_means_of_what_counts():
@@ -36,7 +37,7 @@ def test_normal_equations_are_those_of_the_error_times_its_excess():
 
     gram = np.stack(count * [of_all @ of_all.T / statistics])
     slope = np.stack(count * [of_all @ difference / statistics])
-    _, found = tones.beside((gram, slope), error(np.zeros(moves)), columns, off, before)
+    _, found = tones.with_excess(NormalEquations(gram, slope), error(np.zeros(moves)), columns, off, before)
     steps = 1e-5 * np.eye(moves)
     want = [(total(-s) - total(s)) / 2e-5 for s in steps]
     np.testing.assert_allclose(2 * found.mean(0), want, rtol=1e-6)

@@ -9,7 +9,10 @@ from jaxisp.gap.base.mean import fit_mean
 from jaxisp.gap.base.palette import TYPICAL
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.base.priors import Prior, plain_prior, usual_matrix
-from jaxisp.gap.objective.pixels import Pairs, Problem
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.scenes import Split
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.testing import smooth_image
@@ -39,24 +42,26 @@ def pairs_of_few_colours() -> Pairs:
 
 
 @pytest.fixture
-def problem() -> Problem:
+def start() -> tuple[PixelObjective, Point]:
     gains = np.array([1.0, 0.8, 1.1])
-    start: Params = {"color_matrix": ColorMatrix(matrix=np.float32(usual_matrix(gains)))}
-    return Problem(Camera(None).mean_model(start), pairs_of_few_colours())
+    params: Params = {"color_matrix": ColorMatrix(matrix=np.float32(usual_matrix(gains)))}
+    model = Camera(None).mean_model(params)
+    objective = PixelObjective.of(pairs_of_few_colours())
+    return objective, objective.at(model, np.zeros(len(model.coordinates)))
 
 
-def test_the_usual_camera_costs_nothing_and_moves_nothing(problem):
-    prior = plain_prior(problem, np.array([1.0, 0.8, 1.1]), (0, 1))
-    z = np.zeros(len(problem.model.base))
+def test_the_usual_camera_costs_nothing_and_moves_nothing(start):
+    prior = plain_prior(*start, np.array([1.0, 0.8, 1.1]), (0, 1))
+    z = np.zeros(len(start[1].model.base))
     assert prior.weight > 0 and prior.penalty(z) == pytest.approx(0, abs=1e-9 * prior.weight)
     np.testing.assert_allclose(prior.normal(z)[1], 0, atol=1e-4 * prior.weight)
     z[2] = 1.0  # red takes as much from green
     assert prior.penalty(z) > prior.weight
 
 
-def test_its_gradient_is_that_of_its_penalty(problem):
-    prior = plain_prior(problem, np.ones(3), (0, 1))
-    z, step = np.random.default_rng(0).normal(size=len(problem.model.base)), 1e-3
+def test_its_gradient_is_that_of_its_penalty(start):
+    prior = plain_prior(*start, np.ones(3), (0, 1))
+    z, step = np.random.default_rng(0).normal(size=len(start[1].model.base)), 1e-3
     slope = [(prior.penalty(z - d) - prior.penalty(z + d)) / (2 * step) for d in step * np.eye(len(z))]
     gram, right = prior.normal(z)
     np.testing.assert_allclose(2 * right, slope, rtol=1e-6, atol=1e-6 * np.abs(right).max())
@@ -67,8 +72,7 @@ def test_colours_that_were_not_fitted_come_out_as_a_camera_has_them(monkeypatch)
     pairs = pairs_of_few_colours()
 
     def far_off() -> float:
-        _, mean = fit_mean(None, pairs, (0, 1), "RGGB")
-        errors = mean.errors(mean.z)
+        errors = fit_mean(None, pairs, Split((0, 1), (2, 3)), "RGGB").point.errors
         return float(errors[2:].mean() / errors[:2].mean())
 
     with_prior = far_off()

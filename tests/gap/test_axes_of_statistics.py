@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxisp.gap.axes.statistics import credited, in_one_place, located
+from jaxisp.gap.axes.statistics import in_one_place, located, reattributed
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.tolerances import axis_of, present, weights
+from jaxisp.gap.features.tolerances import axis_of, present, weights
 
 SIDE, SCENES = 96, [f"scene{k}" for k in range(6)]
 AXIS = np.array([axis_of(name) for name in feature_names()])
@@ -52,7 +52,7 @@ def test_what_vanishes_with_the_place_is_the_place_s():
     share = {row["axis"]: row["share"] for row in rows}
     assert "frame" not in share, "no scene has several"
     assert np.concatenate([row["weights"] for row in rows]).mean() == pytest.approx(1)
-    found = credited(rows, difference, without, weight, (difference[None], without[None]), ["one"])
+    found = reattributed(rows, difference, without, weight, (difference[None], without[None]), ["one"])
     now = {row["axis"]: row["share"] for row in found}
     before, after = ((own**2 - weight)[AXIS == "tail"].sum() for own in (difference, without))
     kept = after / before
@@ -106,11 +106,11 @@ def test_interval_moves_with_what_is_credited():
     args = apart.mean(0), without.mean(0), weights()
     rows = located(args[0], weights(), apart, names)
     before = {row["axis"]: row for row in rows}
-    after = {row["axis"]: row for row in credited(rows, *args, (apart, without), names)}
+    after = {row["axis"]: row for row in reattributed(rows, *args, (apart, without), names)}
     assert after["tail"]["share"] == pytest.approx(0, abs=1e-9)
     assert after["tail"]["ci"] == pytest.approx([0, 0], abs=1e-9)
     low, high = after["fixed_pattern"]["ci"]
     assert low < after["fixed_pattern"]["share"] < high
     assert low > before["fixed_pattern"]["ci"][1] and after["row"]["ci"] == before["row"]["ci"]
-    one = credited(rows, *args, (apart, without), 4 * ["a"])
+    one = reattributed(rows, *args, (apart, without), 4 * ["a"])
     assert all(row["ci"] is None for row in one)

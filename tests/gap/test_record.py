@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.report.record import (
+    ABSORBED,
     FARTHER,
     HIDDEN,
     LEADS_LITTLE,
@@ -13,22 +15,23 @@ from jaxisp.gap.report.record import (
     NO_MORE,
     NOT_SURE,
     STATED,
-    TAKEN_UP,
     ranking_rows,
 )
 from jaxisp.gap.search.account import Shown
-from jaxisp.gap.search.refit import Trial
+from jaxisp.gap.search.trial import Bars, Trial
 from jaxisp.gap.search.verdict import Found
+
+RAW = CRITERIA["raw+jpeg"]
 
 
 def found(promises, trials=None, causes=(), hidden=()):
-    return Found(list(causes), trials or {}, promises, Shown(1.0, []), Shown(1.0, []), hidden=hidden)
+    return Found(list(causes), None, trials or {}, promises, Shown(1.0, []), Shown(1.0, []), hidden=hidden)
 
 
 def test_a_line_promises_the_whole_at_most_and_a_step_what_was_measured():
-    tried = Trial("sharpening", np.zeros(1), 11.0, -1.0, 1.2, 1.1, 1.3, 0.05)
+    tried = Trial("sharpening", np.zeros(1), 11.0, -1.0, 1.2, 1.1, 1.3, Bars(0.05))
     promises = {"sharpening": 11.5, "prnu": 25.0, "vignetting": -1.0}
-    rows = ranking_rows(found(promises, {"sharpening": tried}), {"tone_curve": TAKEN_UP}, 10.0)
+    rows = ranking_rows(found(promises, {"sharpening": tried}), {"tone_curve": ABSORBED}, 10.0, RAW)
     assert {row["effect"]: row.get("predicted") for row in rows} == {
         "sharpening": 1.15, "prnu": 1.0, "vignetting": -0.1, "tone_curve": None,
     }  # fmt: skip
@@ -39,25 +42,25 @@ def test_a_line_promises_the_whole_at_most_and_a_step_what_was_measured():
 
 
 def test_what_was_not_named_says_why():
-    cause = Trial("color_matrix", np.zeros(1), 11.0, 1.0, 1.0, 0.9, 1.1, 0.05)
+    cause = Trial("color_matrix", np.zeros(1), 11.0, 1.0, 1.0, 0.9, 1.1, Bars(0.05))
     promises = dict.fromkeys(("color_matrix", "saturation", "color_lut", "prnu"), 0.5)
-    apart = {"tone_curve": TAKEN_UP, "jpeg_quantization": STATED, "prnu": STATED}
+    apart = {"tone_curve": ABSORBED, "jpeg_quantization": STATED, "prnu": STATED}
     rows = ranking_rows(
-        found(promises, {}, [(cause, ["saturation"])], ["color_lut", "saturation"]), apart, 10.0
+        found(promises, {}, [(cause, ["saturation"])], ["color_lut", "saturation"]), apart, 10.0, RAW
     )
     assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
         "color_matrix": ("accepted", None),
         "saturation": ("not_identifiable", "looks the same as color_matrix"),
         "color_lut": ("not_identifiable", HIDDEN),
         "prnu": ("rejected", None),  # it was tried
-        "tone_curve": ("absorbed", TAKEN_UP),
+        "tone_curve": ("absorbed", ABSORBED),
         "jpeg_quantization": ("absorbed", STATED),
     }
 
 
 def test_without_colours_nothing_is_said_of_what_changes_them_alone():
     promises = dict.fromkeys(("saturation", "crosstalk", "vignetting"), 0.5)
-    rows = ranking_rows(found(promises), {"color_matrix": NO_COLOURS}, 10.0)
+    rows = ranking_rows(found(promises), {"color_matrix": NO_COLOURS}, 10.0, RAW)
     assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
         "saturation": ("not_identifiable", NO_COLOURS),
         "color_matrix": ("not_identifiable", NO_COLOURS),
@@ -72,7 +75,7 @@ def test_what_pixels_tell_from_the_cause_says_so():
                  for name, by in (("optical_blur", -0.5), ("luma_denoising", 0.0)))  # fmt: skip
     promises = dict.fromkeys(("optical_blur", "luma_denoising"), 0.5)
     apart = {"double_compression": NO_HEADER}
-    rows = ranking_rows(found(promises, {"luma_denoising": far}, [(near, [])]), apart, 10.0)
+    rows = ranking_rows(found(promises, {"luma_denoising": far}, [(near, [])]), apart, 10.0, RAW)
     assert {row["effect"]: (row["status"], row.get("reason")) for row in rows} == {
         "optical_blur": ("accepted", None),
         "luma_denoising": ("rejected", "takes pixels less near than optical_blur"),
@@ -92,11 +95,11 @@ def test_what_pixels_tell_from_the_cause_says_so():
     ],
 )
 def test_an_effect_that_is_no_cause_though_its_interval_is_high_says_why(changed, said):
-    usual = {"before": 11.0, "after": 5.0, "closed": 0.6, "low": 0.5, "high": 0.7, "least": 0.1}
+    usual = {"before": 11.0, "after": 5.0, "closed": 0.6, "low": 0.5, "high": 0.7, "bars": Bars(0.1)}
     tried = Trial("sharpening", np.zeros(1), **usual | changed)
-    (row,) = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}), {}, 10.0)
+    (row,) = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}), {}, 10.0, RAW)
     assert row["status"] == "rejected" and row.get("reason") == said
-    beside = Trial("prnu", np.zeros(1), 11.0, 2.0, 0.9, 0.8, 1.0, 0.1)
-    rows = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}, [(beside, [])]), {}, 10.0)
+    beside = Trial("prnu", np.zeros(1), 11.0, 2.0, 0.9, 0.8, 1.0, Bars(0.1))
+    rows = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}, [(beside, [])]), {}, 10.0, RAW)
     told = "closes too little beside prnu" if said in (NO_ACCOUNT, LEADS_LITTLE) else said
     assert rows[0].get("reason") == told

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: what difference of each statistic is harmless, and how much it counts."""
+"""Which difference of each statistic is harmless, and how much it counts."""
 
 import functools
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ means and changes, logarithms and correlations for the rest. See docs/diagnosis.
 
 _SHARED = ("pattern", "coarse", "change")  # what is looked for in other scenes or frames
 _ABSENT = 1e-12
-"""The weight of what pictures cannot show: of one that is none, nothing could be measured in units."""
+"""The weight of statistics that pictures cannot show: above 0, since units are divided by it."""
 _MOST = 30.0
 """How many times as much as another a statistic can count at most for what the fitted pairs show of it."""
 

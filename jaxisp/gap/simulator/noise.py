@@ -1,14 +1,16 @@
-"""Where the fit of a noise that the base lacks begins: what the base imitated is taken back."""
+"""The noise of the base, and where fits of effects start that this noise has imitated: it is taken back
+there."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from jaxisp.gap.base.plain_clean import MIXING
-from jaxisp.gap.case import Ladders
 from jaxisp.gap.simulator.effects import EFFECTS
-from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.model import MIXING, Model
 from jaxisp.pipeline import signature
+
+Ladders = list[list[np.ndarray]]
+"""Points to start from; along each list the base has more noise from point to point."""
 
 _VARIANCE = {"noise_level": 1.0, "row_noise": 1.0, "column_noise": 1.0, "correlated_noise": 1.0,
              "heavy_tailed_noise": 1.0, "adc_quantization": 1 / 12}  # fmt: skip
@@ -18,13 +20,18 @@ _LESS = (0.75, 0.5)
 _MORE = (1.0, 2.0, 5.0, 12.0, 30.0)
 
 
+def is_noisy(model: Model) -> bool:
+    """Whether anything in the simulator is random."""
+    return any(signature(s.fn).stochastic for s in model.chain.stages())
+
+
 def noise_indices(model: Model) -> list[int]:
     """The coordinates of the base's own noise."""
     random = {s.name for s in model.chain.stages() if signature(s.fn).stochastic}
     return [i for i, c in enumerate(model.base) if c.node in random]
 
 
-def told_by_noise(model: Model) -> list[int]:
+def informed_by_noise(model: Model) -> list[int]:
     """The coordinates of the base's own noise, and those of the sensor's primaries: how far the noise of
     channels is alike."""
     return [*noise_indices(model), *(i for i, c in enumerate(model.base) if c.node == MIXING)]
@@ -47,9 +54,9 @@ def placed(model: Model, z: np.ndarray, i: int, value: float) -> np.ndarray:
 def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[Ladders]:
     """Where the fit of an effect may begin, form by form: several strengths of a noise, with more or less of
     the base's own taken back; strong forms of what smooths noise, each with more of it; none for other
-    effects."""
+    effects, and where nothing is random."""
     coordinates = [model.coordinates[i] for i in own]
-    if not own or coordinates[0].node not in EFFECTS:
+    if not own or coordinates[0].node not in EFFECTS or not is_noisy(model):
         return []
     effect = EFFECTS[coordinates[0].node]
     at_rest = [[z]]
@@ -70,10 +77,12 @@ def starts(model: Model, z: np.ndarray, own: Sequence[int]) -> list[Ladders]:
 
 
 def noisier(model: Model, z: np.ndarray, i: int) -> Ladders:
-    """The point, and with more and more of the base's noise: what smooths it, as coordinate i may unless it
-    is a noise itself, has been imitated by less."""
+    """The point, and with more and more of the base's noise: the base has stood in for a filter of noise, as
+    coordinate i may be unless it is a noise itself, by having less. The point alone where nothing is
+    random."""
     node = model.coordinates[i].node
-    return [[z]] if node in EFFECTS and EFFECTS[node].random else _ladders(model, z)
+    plain = not is_noisy(model) or (node in EFFECTS and EFFECTS[node].random)
+    return [[z]] if plain else _ladders(model, z)
 
 
 def _ladders(model: Model, z: np.ndarray) -> Ladders:
@@ -83,7 +92,7 @@ def _ladders(model: Model, z: np.ndarray) -> Ladders:
 def _places(model: Model, z: np.ndarray) -> list[np.ndarray]:
     """The point, and with gains and primaries as they usually are: what smooths colours has been imitated
     by others."""
-    known = [i for i in told_by_noise(model) if model.precisions[i] > 0]
+    known = [i for i in informed_by_noise(model) if model.precisions[i] > 0]
     usual = z.copy()
     usual[known] = np.clip(model.usual, *model.ranges)[known]
     return [z, usual] if known else [z]

@@ -7,7 +7,7 @@ import pytest
 from jaxisp.gap.base import cfa_phase
 from jaxisp.gap.base.cfa_phase import moved
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.pixels import Pairs
+from jaxisp.gap.pairs.pairs import Pairs
 
 N = 5
 NAMES = feature_names()

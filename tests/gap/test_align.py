@@ -8,8 +8,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
 from jaxisp.errors import InputError
-from jaxisp.gap.diagnose import _load
-from jaxisp.gap.pairs.align_raw import in_one_frame
+from jaxisp.gap.pairs.align_raw import align_raw
+from jaxisp.gap.pairs.read import _load
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings
@@ -38,38 +38,38 @@ def unlike(found: Loaded) -> float:
 @pytest.mark.parametrize("top, left, cfa", [(2, 4, "RGGB"), (1, 0, "GBRG"), (3, 5, "BGGR")])
 def test_a_picture_that_was_cut_is_laid_where_it_belongs(top, left, cfa):
     whole = scene(0)
-    (found,), failed, (row,) = in_one_frame([pair("a", whole, whole[top:-1, left:])])
+    (found,), failed, (row,) = align_raw([pair("a", whole, whole[top:-1, left:])])
     assert failed == [] and row["done"] == "cut" and unlike(found) < 1e-6
     assert found.raw.cfa == cfa and found.picture.shape[:2] == (SIZE[0] - top - 1, SIZE[1] - left)
 
 
 def test_pairs_cut_unlike_each_other_get_one_pattern():
     a, b = scene(0), scene(1)
-    found, *_ = in_one_frame([pair("a", a, a[1:, 2:]), pair("b", b, b[2:, 1:])])
+    found, *_ = align_raw([pair("a", a, a[1:, 2:]), pair("b", b, b[2:, 1:])])
     assert {f.raw.cfa for f in found} == {"GBRG"} and max(map(unlike, found)) < 1e-6
 
 
 def test_a_picture_of_the_same_size_is_moved():
     whole = scene(0)
-    (found,), _, (row,) = in_one_frame([pair("a", whole, np.roll(whole, (-2, 3), (0, 1)))])
+    (found,), _, (row,) = align_raw([pair("a", whole, np.roll(whole, (-2, 3), (0, 1)))])
     assert unlike(found) < 1e-6 and row["done"] == "moved"
     np.testing.assert_allclose(row["shift_px"], (-2, 3), atol=0.2)
 
 
 def test_a_picture_of_another_scale_is_resampled():
     whole = scene(0)
-    (found,), _, (row,) = in_one_frame([pair("a", whole, np.clip(zoom(whole, 1.05, order=3), 0, 1))])
+    (found,), _, (row,) = align_raw([pair("a", whole, np.clip(zoom(whole, 1.05, order=3), 0, 1))])
     assert unlike(found) < 0.05 and row["done"] == "resampled"
     np.testing.assert_allclose(row["scale"], 1.05, atol=0.01)
 
 
 def test_a_pair_of_two_scenes_is_left_out():
     a, b = scene(0), scene(1)
-    found, failed, _ = in_one_frame([pair("a", a, a), pair("c", b, b), pair("b", b, scene(2))])
+    found, failed, _ = align_raw([pair("a", a, a), pair("c", b, b), pair("b", b, scene(2))])
     assert [f.name for f in found] == ["a", "c"]
     assert failed[0][0] == "b" and "do not show one scene" in failed[0][1]
     with pytest.raises(InputError, match="do not show one scene"):
-        in_one_frame([pair("b", b, scene(2)[:-8])])
+        align_raw([pair("b", b, scene(2)[:-8])])
 
 
 def test_pictures_that_are_too_small_are_left_out():

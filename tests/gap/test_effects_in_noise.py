@@ -7,8 +7,7 @@ import pytest
 
 from jaxisp.gap import EFFECTS
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.base.raw_jpeg import candidates
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates
 from jaxisp.pipeline import Gate, run
 from jaxisp.testing import smooth_image
 from tests.gap.test_effects import VOCABULARY

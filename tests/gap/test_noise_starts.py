@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from jaxisp.gap.base.palette import TYPICAL
-from jaxisp.gap.base.plain_clean import MIXING, Camera, primaries
-from jaxisp.gap.base.raw_jpeg import candidates
+from jaxisp.gap.base.plain_clean import Camera, primaries
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.objective.starts import noise_indices, noisier, placed, starts, told_by_noise
-from jaxisp.gap.objective.tolerances import emphasis, emphasised, group_of, weights
+from jaxisp.gap.features.tolerances import emphasis, emphasised, group_of, weights
+from jaxisp.gap.simulator.effects import candidates
+from jaxisp.gap.simulator.model import MIXING
+from jaxisp.gap.simulator.noise import informed_by_noise, noise_indices, noisier, placed, starts
 
 READ, SHOT = 0.004, 4e-4  # the defaults of the stage
 
@@ -74,7 +75,7 @@ def test_what_smooths_starts_from_usual_colours_too():
         == len(found) - len(found) // 2
     )
     assert flat(noisier(model, z, row)) == [z]
-    assert [model.base[i].node for i in told_by_noise(model)] == 4 * ["balanced_noise"] + 6 * [MIXING]
+    assert [model.base[i].node for i in informed_by_noise(model)] == 4 * ["balanced_noise"] + 6 * [MIXING]
 
 
 def test_what_has_more_of_the_gap_counts_more():

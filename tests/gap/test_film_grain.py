@@ -1,16 +1,16 @@
 """Grain is told from what only looks random."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.gap.case import Split
-from jaxisp.gap.objective.pixels import Problem, to_steps
-from jaxisp.gap.search.film_grain import grain_trial, with_grain
-from jaxisp.gap.search.refit import Trial
+from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.pairs.pairs import to_steps
+from jaxisp.gap.pairs.scenes import Split
+from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
+from jaxisp.gap.search.trial import Bars, Trial
 
+RAW = CRITERIA["raw+jpeg"]
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 0.47
 
 
@@ -43,19 +43,16 @@ def greyed(pictures):
 
 
 def found(shown, filed):
-    """A problem is only looked at for what its picture is and what the camera's is."""
     current, target = to_steps(shown).astype(float), to_steps(filed).astype(float)
-    weight = np.ones(target.shape)
-    problem = SimpleNamespace(current=current, target=target, weight=weight, z=np.zeros(1))
-    problem.counts = np.full(len(shown), 136.0**2)
-    problem.tiled = lambda square: Problem.tiled(problem, square)
+    counts = np.full(len(shown), 136.0**2)
+    seen = Residual(target, current, np.ones(target.shape[:-1]), counts, Split((0, 2), (1, 3)))
     scale = float(((target - current) ** 2).sum(-1).mean())
-    return grain_trial(problem, np.zeros_like(target), Split((0, 2), (1, 3)), scale, 0.05)
+    return grain_trial(seen, np.zeros_like(target), np.zeros(1), scale, 0.05)
 
 
 def test_noise_is_grain(pictures):
     trial = found(pictures, grain(pictures))
-    assert trial.accepted and trial.closed > 0.8
+    assert trial.accepted(RAW) and trial.closed > 0.8
     assert trial.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.15)
 
 
@@ -63,14 +60,14 @@ def test_noise_is_grain(pictures):
 def test_what_follows_the_picture_is_not(pictures, filed):
     trial = found(pictures, filed(pictures))
     assert trial.closed < 0.4
-    assert with_grain([], trial, 0.0) == []
+    assert with_grain([], trial, 0.0, RAW) == []
 
 
 def trial(before, after):
     closed = (before - after) / 10
-    return Trial("film_grain", np.zeros(1), before, after, closed, closed - 0.05, closed + 0.05, 0.05)
+    return Trial("film_grain", np.zeros(1), before, after, closed, closed - 0.05, closed + 0.05, Bars(0.05))
 
 
 def test_grain_must_make_half_of_what_is_left():
-    assert with_grain([], trial(11.0, 7.0), 1.0) == []
-    assert with_grain([], trial(11.0, 5.0), 1.0)
+    assert with_grain([], trial(11.0, 7.0), 1.0, RAW) == []
+    assert with_grain([], trial(11.0, 5.0), 1.0, RAW)

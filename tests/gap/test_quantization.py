@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.gap.features.quantization import FREQUENCIES, codes, comb_part, cosine
+from jaxisp.gap.features.quantization import FREQUENCIES, cosine, quantization, quantization_part
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.look import SplineCurve
 from jaxisp.stages.sensor import LevelSteps, level_steps
@@ -37,7 +37,7 @@ def test_a_comb_is_found_at_its_step_and_not_without(cfa):
         "color_matrix": ColorMatrix(matrix=np.eye(3, dtype=np.float32)),
         "mixing": ColorMatrix(matrix=MATRIX),
     }
-    seen = codes(shared, cfa, GAINS, SHAPE, CORNER)
+    seen = quantization(shared, cfa, GAINS, SHAPE, CORNER)
     rng = np.random.default_rng(5)
     read = 0.06 + 0.012 * rng.normal(size=(*SHAPE, 3))
     k = 9
@@ -45,7 +45,7 @@ def test_a_comb_is_found_at_its_step_and_not_without(cfa):
     values = {}
     for name, light in (("plain", read), ("comb", step * np.rint(read / step))):
         y = jnp.moveaxis(jnp.asarray(picture(light), jnp.float32), -1, 0)
-        ((names, found),) = comb_part(y, jnp.full_like(y, 60.0), jnp.ones(SHAPE), seen).items()
+        ((names, found),) = quantization_part(y, jnp.full_like(y, 60.0), jnp.ones(SHAPE), seen).items()
         values[name] = dict(zip(names, np.asarray(found).tolist(), strict=True))
     assert values["comb"][f"code intensity dark{k:02d}"] > 0.95
     assert abs(values["plain"][f"code intensity dark{k:02d}"]) < 0.1

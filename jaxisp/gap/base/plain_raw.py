@@ -1,0 +1,189 @@
+"""The plain camera that is fitted to RAW+JPEG pairs."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxisp.color import srgb_to_linear
+from jaxisp.gap.base.absorbed import absorbed_shares
+from jaxisp.gap.base.palette import is_colourless, start_matrix, typical_matrix
+from jaxisp.gap.case import Gap
+from jaxisp.gap.criteria import CRITERIA, Criteria
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.pairs.crops import common_crop
+from jaxisp.gap.pairs.headers import raws_of, stated_warp
+from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.simulator.effects import RAW_JPEG, Effect
+from jaxisp.gap.simulator.model import (
+    ROOTED,
+    Coordinate,
+    Model,
+    Variant,
+    build,
+    plain_camera,
+    plain_freedom,
+    rooted,
+)
+from jaxisp.io import Raw
+from jaxisp.io.datasets import Loaded
+from jaxisp.io.jpeg import Jpeg
+from jaxisp.pipeline import run, stage
+from jaxisp.stages.balance import ColorMatrix, WhiteBalance
+from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
+from jaxisp.stages.optics import RectilinearWarp
+
+
+class Base(NamedTuple):
+    """What is put before RAW+JPEG pairs.
+
+    Attributes:
+        model: the base, with every effect in it, off.
+        absorbed: by effect that is part of it, the share of the error that would be there without.
+        choices: other ways to demosaick.
+        rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
+            them.
+        unidentifiable: effects that are part of it and that these pairs cannot show: it has what is usual.
+    """
+
+    model: Model
+    absorbed: Mapping[str, float] = MappingProxyType({})
+    choices: Sequence[Variant] = ()
+    rival: Variant | None = None
+    unidentifiable: tuple[str, ...] = ()
+
+
+def raw_model(
+    loaded: Sequence[Loaded],
+    pairs: Pairs,
+    effects: Sequence[Effect],
+    fit_on: Sequence[int],
+    criteria: Criteria = CRITERIA[RAW_JPEG],
+) -> Base:
+    """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
+    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
+    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    gains, matrix, usual = _start(raws, pairs, cfa)
+    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
+    per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
+    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
+    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
+    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
+    warped = any(w is not None for w in warps)
+    if warped:
+        own = [w or RectilinearWarp() for w in warps]
+        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
+    chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
+
+    def fitted(matrix: np.ndarray, free: Sequence[Coordinate]) -> Base:
+        start = params | {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
+        return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
+
+    found = fitted(matrix, plain_freedom())
+    if usual is None or _at_floor(found, pairs, fit_on, [p.jpeg for p in loaded], criteria):
+        return found
+    held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
+    absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
+    return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
+
+
+def _at_floor(
+    base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None], criteria: Criteria
+) -> bool:
+    """Whether it leaves no more of these pairs than rounding and the files' compression do."""
+    objective, which = PixelObjective.of(pairs), list(which)
+    z = np.zeros(len(base.model.coordinates))
+    objective = objective.robust(objective.at(base.model, z))
+    at = objective.at(base.model, z)
+    floor = objective.floor_errors(objective.floor_difference(at, files))[which].mean()
+    left = Gap(float(at.errors[which].mean()), float(floor), criteria.least_unit)
+    return not left.exceeds(criteria.null_drop)
+
+
+def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
+    """The base fitted, with the demosaicker that explains the pairs best: before or after white balance, of
+    linear values or of their square roots."""
+    objective, own = PixelObjective.of(pairs).take(fit_on), model.take(fit_on)
+    at = objective.at(own, np.zeros(len(model.coordinates)))
+    at = fit(objective, at, model.base_indices, steps=6).point
+    objective = objective.robust(at)
+    found = choices(model)
+    roots = [_on_roots(choice) for choice in found]
+
+    def with_choice(choice: Variant) -> Point:
+        return objective.at(own.chosen(choice.take(fit_on)), at.z)
+
+    errors, of_roots = ([with_choice(choice).error for choice in some] for some in (found, roots))
+    linear, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
+    rooted_best = min(of_roots) < ROOTED * min(errors)
+    best, rival = (root, linear) if rooted_best else (linear, None)
+    at = fit(objective, with_choice(best), model.base_indices, steps=4).point
+    every = list(range(len(fit_on)))
+    absorbed = absorbed_shares(objective, at.model.moved(at.z), model.shared, every)
+    absorbed["demosaicking"] = 1 - min(errors) / max(errors)
+    return Base(model.chosen(best).moved(at.z), absorbed, [*found, root], rival)
+
+
+def choices(model: Model) -> list[Variant]:
+    """Each demosaicker, before and after white balance."""
+    first = model.per_pair["mosaic_white_balance"]
+    orders = [(first, _neutral(first)), (_neutral(first), first)]
+    return [
+        Variant(
+            {"demosaicking": Demosaicking(shares=shares)} | rooted(False),
+            {"mosaic_white_balance": early, "later_balance": late},
+        )
+        for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
+        for early, late in orders
+    ]
+
+
+def _on_roots(choice: Variant) -> Variant:
+    return dataclasses.replace(choice, shared=choice.shared | rooted(True))
+
+
+def _neutral(balance: WhiteBalance) -> WhiteBalance:
+    return WhiteBalance(gains=np.ones_like(balance.gains))
+
+
+def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Where the fit of a base begins: (N, 3) gains, and a (3, 3) colour matrix by least squares. Of scenes
+    without colours a usual matrix too: what is fitted to the noise in their greys imitates whatever took of
+    that, compression first."""
+    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
+    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    light, linear = _balanced(pairs, cfa, gains), srgb_to_linear(pairs.pictures)
+    grey = is_colourless(light, pairs.mask)
+
+    def shade(pixels: np.ndarray) -> np.ndarray:
+        return np.asarray(pixels[pairs.mask].mean(0))
+
+    if silent:
+        if grey:
+            white = shade(light) / shade(linear)
+        else:  # the matrix's own
+            white = np.linalg.solve(start_matrix(light, pairs.pictures, pairs.mask), np.ones(3))
+        gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(raws), 0)
+        light = _balanced(pairs, cfa, gains)
+    matrix = start_matrix(light, pairs.pictures, pairs.mask)
+    if not grey:
+        return gains, matrix, None
+    return gains, matrix, typical_matrix(shade(linear) / (typical_matrix(np.ones(3)) @ shade(light)))
+
+
+def _balanced(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
+    """(N, H, W, 3) the mosaics, white balanced by (N, 3) gains and demosaicked."""
+    rgb = []
+    balanced, flat = (
+        stage("mosaic_white_balance", cfa=cfa),
+        stage(demosaicking, cfa=cfa, algorithm="bilinear"),
+    )
+    for mosaic, gain in zip(pairs.light, gains):
+        own = run(balanced, {balanced.name: WhiteBalance(gains=np.asarray(gain, np.float32))}, mosaic)
+        rgb.append(np.asarray(run(flat, flat.init(), own)))
+    return np.stack(rgb)

@@ -1,0 +1,48 @@
+"""A data set read into pairs whose halves are aligned."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from jaxisp.errors import InputError
+from jaxisp.gap.pairs.align_clean import align_clean
+from jaxisp.gap.pairs.align_raw import Aligned, align_raw
+from jaxisp.gap.pairs.crops import SMALLEST
+from jaxisp.gap.pairs.headers import of_one_sampling
+from jaxisp.io.datasets import Dataset, Loaded
+
+
+def aligned_pairs(dataset: Dataset) -> Aligned:
+    """The pairs of a data set; what cannot be used is listed with the reason.
+
+    Raises:
+        InputError: no pair is left.
+    """
+    read, failed = _load(dataset.pairs)
+    read, odd = of_one_sampling(read)
+    failed = [(path.name, f"{path}: {reason}") for path, reason in dataset.problems] + failed + odd
+    aligned = align_raw(read) if dataset.kind == "raw+jpeg" else align_clean(read)
+    return aligned._replace(failed=failed + aligned.failed)
+
+
+def _load(pairs: Sequence[Any]) -> tuple[list[Loaded], list[tuple[str, str]]]:
+    loaded, failed = [], []
+    for pair in pairs:
+        try:
+            loaded.append(_large_enough(pair.load()))
+        except InputError as error:
+            failed.append((pair.name, str(error)))
+    if not loaded:
+        raise InputError("; ".join(reason for _, reason in failed))
+    return loaded, failed
+
+
+def _large_enough(pair: Loaded) -> Loaded:
+    first = pair.clean if pair.raw is None else pair.raw.mosaic
+    sizes = [a.shape[:2] for a in (first, pair.picture) if a is not None]
+    for height, width in sizes:
+        if min(height, width) < SMALLEST:
+            wanted = f"{SMALLEST} or more a side"
+            raise InputError(
+                f"{pair.name}: {width}x{height} px are too few to be diagnosed, expected {wanted}"
+            )
+    return pair

@@ -1,0 +1,159 @@
+"""report.json: what a diagnosis found, by the contract's keys."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxisp.encoder import no_encoder
+from jaxisp.gap.axes import Rows
+from jaxisp.gap.axes.interval import interval
+from jaxisp.gap.axes.null_bank import held_against_nulls
+from jaxisp.gap.case import Case, Gap
+from jaxisp.gap.criteria import Criteria
+from jaxisp.gap.pairs.align_raw import Aligned
+from jaxisp.gap.pairs.pairs import INNER
+from jaxisp.gap.report import advice
+from jaxisp.gap.report.record import (
+    ABSORBED,
+    NO_COLOURS,
+    NO_HEADER,
+    STATED,
+    base_row,
+    cause_row,
+    ranking_rows,
+)
+from jaxisp.gap.search.refit import clustered
+from jaxisp.gap.search.verdict import Found
+from jaxisp.gap.simulator.effects import RAW_JPEG
+
+METRIC = {
+    RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
+    "summed over the three channels, large errors of single edges weighed down",
+    "clean+noisy": "mean square difference of the statistics of the residual, mean error included, in "
+    "units of what is harmless or chance (squared), those weighed up that differ on the fitted pairs",
+}
+
+
+_TWO_SCENES = "its two pictures are hardly alike, and far from what fits the others: they show two scenes"
+_OUTLIER = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
+
+
+def is_gap(case: Case, gap: Gap, found: Found) -> bool:
+    """Whether there is more of a gap than cameras that lack nothing have."""
+    return bool(found.causes) or gap.exceeds(case.criteria.null_excess)
+
+
+def after(gap: Gap, found: Found) -> float:
+    """The gap with the causes."""
+    return found.causes[-1][0].after if found.causes else gap.before
+
+
+def report_of(
+    case: Case, gap: Gap, found: Found, aligned: Aligned, reducible: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """report.json, but for the seconds and the denoisers.
+
+    Args:
+        case: what was diagnosed.
+        gap: at the base.
+        found: by the search.
+        aligned: the pairs, with those that could not be used.
+        reducible: what flexible models reach; None where that was not measured.
+    """
+    held, model, there = case.split.held_out, found.point.model, is_gap(case, gap, found)
+    apart = dict.fromkeys(model.effects, STATED) | {"double_compression": NO_HEADER}
+    apart |= dict.fromkeys(case.absorbed, ABSORBED) | dict.fromkeys(case.unidentifiable, NO_COLOURS)
+    tried = len(case.offered) + (case.stored is not None)  # and film grain
+    causes = [cause_row(t, alike, tried, model) for t, alike in found.causes]
+    ended = model.params(found.point.z) if causes else None
+    where = held_against_nulls(found.before.where, case.kind, gap.before, gap.unit)
+    opened = (*case.open_nodes, *case.unidentifiable)
+    return {
+        "schema": 1,
+        "kind": case.kind,
+        "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended),
+        "pairs": {
+            "fit": [case.pairs.names[i] for i in case.split.fit],
+            "held_out": [case.pairs.names[i] for i in held],
+            "pixels": int(case.pairs.mask[INNER].sum()),
+        } | _aligned(aligned, case.outliers),
+        "gap": {
+            "metric": METRIC[case.kind], "before": gap.before, "after": after(gap, found), "floor": gap.floor,
+            "ci": _interval(case, found, after(gap, found)),
+            "axes": {row["axis"]: row["size"] for row in where},
+        } | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
+        "verdict": "effect" if causes else "unknown" if there else "none",
+        "causes": causes,
+        "ranking": ranking_rows(found, apart, gap.scale, case.criteria),
+        "where": where if there else [],
+        "unexplained": _unexplained(case, gap, found),
+        "seconds": 0.0,
+    }  # fmt: skip
+
+
+def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
+    """What was done to the pairs, and which are not among those that were fitted or held out."""
+    rows = {row["name"]: row for row in aligned.rows}
+    return {
+        "aligned": [row for name, row in rows.items() if name not in outliers],
+        "left_out": [
+            {"name": name, "reason": _OUTLIER if rows[name]["certain"] else _TWO_SCENES} for name in outliers
+        ],
+        "failed": [{"file": name, "reason": reason} for name, reason in aligned.failed],
+        "encoder_not_modelled": [
+            {"name": pair.name, "reason": why}
+            for pair in aligned.kept
+            if pair.jpeg and (why := no_encoder(pair.jpeg))
+        ],
+    }
+
+
+def _statistics(rows: Rows) -> dict[str, Any]:
+    """Of clean+noisy pairs each statistic's difference before any cause, in units of what is harmless or
+    chance, and how much it counts: the gap is the mean of their squares, so weighed."""
+    found = {
+        f"{row['axis']} {name}": [value, weight]
+        for row in rows
+        for name, value, weight in zip(row["bins"], row["profile"], row.get("weights", ()))
+    }
+    return {"statistics": found} if found else {}
+
+
+def _interval(case: Case, found: Found, left: float) -> list[float]:
+    """Of what is left; film grain moves no parameter, so its part is taken off every picture alike."""
+    units = case.evidence.units(found.point)[list(case.split.held_out)]
+    share = left / max(float(np.nanmean(units)), 1e-12)
+    return list(interval(clustered(case.evidence, share * units), 1.0))
+
+
+def _unexplained(case: Case, gap: Gap, found: Found) -> dict[str, Any]:
+    criteria, left = case.criteria, after(gap, found)
+
+    def axes(rows: Rows, at: float) -> list[str]:
+        sure = [row for row in rows if row["p_value"] < criteria.by_chance]
+        return _clear(held_against_nulls(sure, case.kind, at, gap.unit), criteria)
+
+    there = is_gap(case, gap, found)
+    share, shown = float(np.clip((left - gap.floor) / gap.scale, 0, 1)), axes(found.after.where, left)
+    text = f"{100 * share:.0f} % of the gap is left" + (f", on {', '.join(shown)}" if shown else "")
+    text += "" if there else ", no more than cameras that lack nothing have"
+    wanted = shown if found.causes else axes(found.before.where, gap.before)
+    next_one = advice.about(wanted) if there and share >= criteria.considerable else None
+    row = {"share": share, "axes": shown, "description": text, "next_measurement": next_one}
+    if found.refused is None:
+        return row
+    causes = found.refused.causes
+    reached = causes[-1][0].after
+    nearest = {
+        "effects": [t.effect for t, _ in causes],
+        "closed": float((gap.before - reached) / gap.scale),
+        "axes": axes(found.refused.after.where, reached),
+    }
+    return row | {"nearest": nearest}
+
+
+def _clear(rows: Rows, criteria: Criteria) -> list[str]:
+    """The axes that clearly have some of a gap, three at most."""
+    named = [r for r in rows if r["p_value"] <= criteria.clear and r["share"] > criteria.named_axis]
+    return [str(row["axis"]) for row in named][:3]

@@ -1,0 +1,198 @@
+"""What is refused where it is written, in words that say what would be right."""
+
+import dataclasses
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp.data import Batches
+from jaxisp.domains import RGB
+from jaxisp.errors import InputError
+from jaxisp.options import between
+from jaxisp.pipeline import Chain, Gate, Shuffle, run, run_batch, stage
+from jaxisp.priors import Choice, LogUniform, Normal, Uniform
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import RECIPES
+from jaxisp.stages.jpeg import Jpeg
+from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
+from jaxisp.testing import smooth_image
+
+KEY = jax.random.key(0)
+IMAGES = np.stack([smooth_image((16, 18, 3), i) for i in range(2)]).astype(np.float32)
+
+OPTIONS = [
+    ("mosaic", {"cfa": "RGBG"}, "option cfa must be one of 'RGGB', 'BGGR', 'GRBG', 'GBRG', got 'RGBG'"),
+    ("demosaic_hibbard", {"cfa": 3}, "option cfa must be str, got 3"),
+    ("bilateral", {"chroma_cell": 3}, "option chroma_cell must be even, got 3"),
+    ("bilateral", {"radius": 0}, "option radius must be 1 or more, got 0"),
+    ("median", {"footprint": "7x7"}, "option footprint must be one of"),
+    ("median", {"luma": 1}, "option luma must be bool, got 1"),
+    ("jpeg", {"subsampling": "4:1:1"}, "option subsampling must be one of"),
+    ("jpeg", {"row_phase": 16}, "option row_phase must be from 0 to 15, got 16"),
+    ("resize", {"factor": 0.0}, "option factor must be positive, got 0.0"),
+    ("resize", {"factor": float("nan")}, "option factor must be finite, got nan"),
+    ("clip", {"low": 0.3}, "option low must be below 0.3, got 0.3"),
+    ("prnu", {"sensor": "a"}, "option sensor must be int or None, got 'a'"),
+    ("demosaic_ahd", {"variant": "dcraw"}, "option variant must be one of 'paper', 'libraw', got 'dcraw'"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "message"), OPTIONS)
+def test_a_wrong_option_is_refused_when_the_stage_is_made(name, options, message):
+    with pytest.raises(InputError) as refused:
+        stage(name, **options)
+    assert f"{name}: {message}" in str(refused.value)
+    with pytest.raises(InputError):
+        dataclasses.replace(stage(name), static=tuple(options.items()))
+
+
+def test_numpys_numbers_are_options_too():
+    assert stage("median", iterations=np.int64(2)) == stage("median", iterations=2)
+
+
+def test_a_parameter_is_no_option():
+    with pytest.raises(TypeError, match=r"jpeg has no option 'quality': it is a parameter, Jpeg\(quality="):
+        stage("jpeg", quality=500)
+
+
+def test_one_pattern_from_the_mosaic_to_demosaicking():
+    mosaic, wrong = stage("mosaic", cfa="GRBG"), stage("demosaic_malvar")
+    with pytest.raises(ValueError, match="'mosaic' has cfa='GRBG' and 'demosaic_malvar' 'RGGB'"):
+        Chain((mosaic, stage("adc_quantization"), wrong))
+    with pytest.raises(ValueError, match="'mosaic' has cfa"):
+        Chain((Chain((mosaic, stage("clip")), "sensor"), Gate(stage("green_imbalance"))))
+    with pytest.raises(ValueError, match="has cfa"):
+        Shuffle((stage("green_imbalance", cfa="BGGR"), stage("mosaic_white_balance")))
+    with pytest.raises(InputError, match="has cfa"):
+        Recipe.from_toml(
+            'stages = [{stage = "mosaic"}, {stage = "demosaic_malvar", options = {cfa = "BGGR"}}]'
+        )
+    twice = (mosaic, stage("demosaic_malvar", cfa="GRBG"), stage("mosaic", name="again"), wrong)
+    with pytest.raises(ValueError, match="unique"):  # two sensors may differ
+        Chain(twice)
+    Chain((*twice[:3], stage("demosaic_malvar", name="second")))
+
+
+def test_what_is_no_stage():
+    for kind in (Chain, Shuffle):
+        with pytest.raises(TypeError, match=r"takes stages and pipelines, got 'mosaic': stage\('mosaic'\)"):
+            kind(("mosaic", "demosaic_ahd"))
+    with pytest.raises(TypeError, match="Gate takes stages and pipelines, got <function"):
+        Gate(lambda x: x)
+
+
+def test_what_is_no_prior():
+    chain = RECIPES["amwgn"]().chain
+    with pytest.raises(
+        InputError, match=r"shot_read_noise must be a ShotReadNoise\(...\), got {'read': 0.1}"
+    ):
+        Recipe(chain, {"shot_read_noise": {"read": 0.1}})
+    with pytest.raises(InputError, match=r"shot_read_noise must be a ShotReadNoise"):
+        Recipe(chain, {"shot_read_noise": GaussianNoise()})
+    with pytest.raises(InputError, match="has no stage shot_noise; is it shot_read_noise"):
+        Recipe(chain, {"shot_noise": ShotReadNoise()})
+    with pytest.raises(InputError, match=r"shot_read_noise.shot has the shape .* give Uniform\(0, 0.01\)"):
+        Recipe(chain, {"shot_read_noise": ShotReadNoise(shot=(0, 0.01))})
+    with pytest.raises(InputError, match=r"shot_read_noise.shot: 'low' is neither a number nor"):
+        Recipe(chain, {"shot_read_noise": ShotReadNoise(shot="low")})
+    with pytest.raises(InputError, match=r"jpeg.quality = 500 is not within \[1, 100\]"):
+        Recipe(Chain((stage("jpeg"),)), {"jpeg": Jpeg(quality=500)})
+
+
+def test_the_numbers_of_a_distribution():
+    @jax.jit
+    def traced(high):
+        return Uniform(0, high).sample(KEY, ())
+
+    with pytest.raises(InputError, match=r"Uniform.high is traced, but a prior is part of the program"):
+        traced(1.0)
+    with pytest.raises(InputError, match=r"LogUniform.low must be a number, got 'a'"):
+        LogUniform("a", 1)
+    with pytest.raises(InputError, match=r"Choice.values must be a number"):
+        Choice(3)
+    assert Uniform(jnp.zeros(()), np.float32(1)) == Uniform(0, 1)
+    assert hash(Normal(0, np.float64(1), -1, 1)) == hash(Normal(0.0, 1.0, -1.0, 1.0))
+
+
+def test_parameters_that_are_missing_or_are_no_dict():
+    node, image = stage("jpeg"), IMAGES[0]
+    with pytest.raises(
+        TypeError, match=r"params must be a dict by stage name, as {'jpeg': Jpeg\(\)}, got Jpeg"
+    ):
+        run(node, Jpeg(), image)
+    with pytest.raises(TypeError, match=r"params\['jpeg'\] must be a Jpeg, got a number or an array"):
+        run(node, {"jpeg": 75.0}, image)
+    chain = Chain((stage("clip"), Gate(stage("gaussian_noise")), Shuffle((stage("unsharp_mask"),))))
+    for name in chain.init():
+        some = {n: v for n, v in chain.init().items() if n != name}
+        for call in (run, run_batch):
+            with pytest.raises(TypeError, match=f"params lacks '{name}', a "):
+                call(chain, some, image if call is run else IMAGES, KEY)
+
+
+def test_replacing_a_part_of_a_prior_keeps_the_rest():
+    recipe = RECIPES["phone"]()
+    noise = ShotReadNoise(shot=0.01, read=Uniform(0.0, 0.02))
+    other = dataclasses.replace(recipe, prior={"shot_read_noise": noise})
+    assert other.prior == recipe.prior | {"shot_read_noise": noise}
+    assert dataclasses.replace(recipe, description="mine").prior == recipe.prior
+    shorter = dataclasses.replace(recipe, chain=recipe.chain.without("median", "bilateral"), prior={})
+    assert shorter.prior == {n: v for n, v in recipe.prior.items() if n not in ("median", "bilateral")}
+    with pytest.raises(InputError, match="has no stage median"):
+        dataclasses.replace(recipe, chain=recipe.chain.without("median"))
+
+
+def test_override():
+    recipe = RECIPES["phone"]()
+    other = recipe.override(shot_read_noise={"read": Uniform(0.0, 0.02)}, unsharp_mask={"amount": 0.1})
+    assert other.prior["shot_read_noise"].read == Uniform(0.0, 0.02)
+    assert other.prior["shot_read_noise"].shot == recipe.prior["shot_read_noise"].shot
+    assert other.prior["jpeg_photoshop"] == recipe.prior["jpeg_photoshop"] and other != recipe
+    assert Recipe.from_toml(other.to_toml()) == other
+    for wrong, message in (
+        ({"shot_noise": {"read": 0.0}}, "has no stage shot_noise; is it shot_read_noise"),
+        ({"shot_read_noise": {"reed": 0.0}}, r"shot_read_noise takes a dict of \['read', 'shot'\]"),
+        ({"shot_read_noise": Uniform(0, 1)}, "takes a dict"),
+        ({"shot_read_noise": {"read": 9.0}}, "shot_read_noise.read = 9 is not within"),
+    ):
+        with pytest.raises(InputError, match=message):
+            recipe.override(**wrong)
+
+
+@pytest.mark.parametrize("place", [np.asarray, jnp.asarray], ids=["host", "device"])
+def test_the_range_of_a_batch(place):
+    recipe = RECIPES["awgn"]()
+    for images, message in (
+        (255 * IMAGES, "divide 8 bits by 255"),
+        (2 * IMAGES - 1, r"for -1 to 1 give \(x \+ 1\) / 2"),
+        (np.where(IMAGES > 0.9, np.nan, IMAGES), "NaN"),
+        (np.where(IMAGES > 0.9, np.inf, IMAGES), "NaN or infinite"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            recipe.degrade(KEY, place(images))
+        with pytest.raises(ValueError, match=message):
+            recipe.repeat(KEY, {}, place(images))
+    recipe.degrade(KEY, place(1.3 * IMAGES - 0.15))  # a sharpened picture
+
+
+def test_the_range_of_a_batch_of_a_source():
+    class Bytes:
+        def batch(self, indices):
+            return np.full((len(indices), 8, 8, 3), 128, np.float32)
+
+    with (
+        Batches(Bytes(), RECIPES["awgn"](), batch=2) as batches,
+        pytest.raises(ValueError, match="divide 8 bits by 255"),
+    ):
+        next(batches)
+
+
+def test_a_stage_of_ones_own_has_limits_too():
+    def washed(image: RGB, *, share: Annotated[float, between(0, 1)] = 0.5) -> RGB:
+        return image * share
+
+    with pytest.raises(InputError, match="washed: option share must be from 0 to 1, got 2"):
+        stage(washed, share=2)
