@@ -54,8 +54,13 @@ def check_pattern(raw: Any, path: Path) -> str:
 
 
 def visible_pattern(raw: Any) -> np.ndarray:
-    """The cell of LibRaw's colours from the top-left of the visible area; rawpy's is that of the frame."""
-    return np.roll(raw.raw_pattern, (-raw.sizes.top_margin, -raw.sizes.left_margin), (0, 1))
+    """The cell of LibRaw's colours from the top-left of the visible area.
+
+    rawpy's `raw_pattern` is that of the whole frame, and wrong where an X-Trans frame has wide margins.
+    """
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    rows, columns = raw.raw_pattern.shape
+    return np.array([[raw.raw_color(top + y, left + x) for x in range(columns)] for y in range(rows)])
 
 
 def check_cells(shape: tuple[int, int], cfa: str, path: Path) -> None:

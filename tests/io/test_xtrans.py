@@ -54,10 +54,11 @@ def test_black_levels_of_a_cell_of_six(tmp_path):
     np.testing.assert_allclose(raw.mosaic, 500 / (1023 - 35), rtol=1e-6)
 
 
+@pytest.mark.parametrize("area", [AREA, (15, 14, 63, 71)])
 @pytest.mark.parametrize("crop", [None, CROP])
-def test_libraw_tells_the_same_of_files_that_are_no_dng(tmp_path, crop):
-    """A RAF goes this way: LibRaw's pattern, levels and sizes."""
-    path = xtrans(tmp_path / "a.dng", active_area=AREA, crop=crop)
+def test_libraw_tells_the_same_of_files_that_are_no_dng(tmp_path, area, crop):
+    """A RAF goes this way: LibRaw's pattern, levels and sizes, whatever its margins."""
+    path = xtrans(tmp_path / "a.dng", grey((65, 75)), active_area=area, crop=crop)
     raw, want = _read_other(path, None, RawDescription()), read_raw(path)
     top, left = np.subtract(raw.crop[:2], want.crop[:2])
     assert raw.cfa == shifted(want.cfa, top, left)
