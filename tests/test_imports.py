@@ -30,7 +30,7 @@ LAYERS = [
 RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 GAP = (
     "parallel", "pairs", "simulator", "features", "axes", "criteria", "objective", "gauss_newton", "case",
-    "base", "search", "downstream", "report", "diagnose",
+    "base", "search", "downstream", "report", "diagnose", "residual",
 )  # fmt: skip
 """The folders and modules of the diagnosis, lowest first: each imports only those before it."""
 
