@@ -47,18 +47,26 @@ def main() -> None:
                 print(f"| {path.stem} | {row} |")
 
 
+def pictures(least: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and linear light in [0, 0.9], continued by mirror images to so many rows and columns."""
+    for name in ("astronaut", "coffee", "chelsea"):
+        picture = 0.9 * (getattr(skimage.data, name)() / 255.0) ** 2.2
+        more = [(0, max(0, least - n)) for n in picture.shape[:2]]
+        yield name, np.pad(picture, [*more, (0, 0)], mode="reflect")
+
+
 def photographs(folder: Path) -> Iterator[Path]:
     """DNGs of linear light whose camera colours are linear sRGB."""
-    for name in ("astronaut", "coffee", "chelsea"):
-        picture = (getattr(skimage.data, name)() / 255.0) ** 2.2
-        mosaic = select(
-            masks(picture.shape[:2], "RGGB"), *(jnp.asarray(p) for p in np.moveaxis(picture, -1, 0))
-        )
-        pixels = np.round(0.9 * FULL * np.asarray(mosaic)).astype(np.uint16)
-        matrix = np.linalg.inv(SRGB_TO_XYZ)
-        yield write_dng(
-            folder / f"{name}.dng", pixels, cfa="RGGB", black=[0], white=FULL, color_matrix=matrix
-        )
+    for name, picture in pictures():
+        yield as_dng(folder / f"{name}.dng", picture, "RGGB")
+
+
+def as_dng(path: Path, picture: np.ndarray, cfa: str) -> Path:
+    """What a sensor sees of a picture, whose colours are the camera's and linear sRGB."""
+    mosaic = select(masks(picture.shape[:2], cfa), *(jnp.asarray(p) for p in np.moveaxis(picture, -1, 0)))
+    pixels = np.round(FULL * np.asarray(mosaic)).astype(np.uint16)
+    matrix = np.linalg.inv(SRGB_TO_XYZ)
+    return write_dng(path, pixels, cfa=cfa, black=[0], white=FULL, color_matrix=matrix)
 
 
 def compare(path: Path) -> Iterator[str]:
@@ -69,21 +77,23 @@ def compare(path: Path) -> Iterator[str]:
     with patch.object(ahd, "_clipped", lambda planes: planes):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... without clipping the candidates | {found}"
-    with patch.object(homogeneity, "_lab", lab_of(camera_to_srgb, whole=False)):
+    with patch.object(homogeneity, "lab", lab_of(camera_to_srgb, whole=False)):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... with Lab by the camera's matrix | {found}"
-    with patch.object(homogeneity, "_lab", lab_of(camera_to_srgb, whole=True)):
+    with patch.object(homogeneity, "lab", lab_of(camera_to_srgb, whole=True)):
         found = agreement(demosaic(mosaic, cfa, static), theirs)
     yield f"... and with whole numbers: Lab in 1/64 | {found}"
 
 
-def libraw(path: Path) -> tuple[np.ndarray, np.ndarray, str, np.ndarray]:
+def libraw(
+    path: Path, algorithm: Any = rawpy.DemosaicAlgorithm.AHD
+) -> tuple[np.ndarray, np.ndarray, str, np.ndarray]:
     """LibRaw's picture, the mosaic it was made of, its pattern, and the matrix from camera to linear sRGB."""
     with rawpy.imread(str(path)) as raw:
         gains = np.asarray(raw.daylight_whitebalance[:3])
         gains = gains / gains.min() if (gains > 0).all() else np.ones(3)
         picture = raw.postprocess(
-            demosaic_algorithm=rawpy.DemosaicAlgorithm.AHD,
+            demosaic_algorithm=algorithm,
             gamma=(1, 1),
             no_auto_bright=True,
             adjust_maximum_thr=0.0,
@@ -113,7 +123,7 @@ def agreement(ours: np.ndarray, theirs: np.ndarray) -> str:
 
 
 def lab_of(camera_to_srgb: np.ndarray, whole: bool) -> Any:
-    """A replacement of `homogeneity._lab`: by a camera's matrix, and as 16-bit LibRaw has it if `whole`."""
+    """A replacement of `homogeneity.lab`: by a camera's matrix, and as 16-bit LibRaw has it if `whole`."""
     matrix = (SRGB_TO_XYZ / SRGB_TO_XYZ.sum(axis=1, keepdims=True)) @ camera_to_srgb
 
     def lab(rgb: Any) -> Any:

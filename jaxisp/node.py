@@ -1,5 +1,6 @@
 """The nodes that pipelines are built of, and the simplest: a stage with its options and a name."""
 
+import math
 import zlib
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
@@ -74,8 +75,8 @@ class Node:
 
     @property
     def block(self) -> int:
-        """Rows of the largest blocks that its stages work in."""
-        return max((locality(s.fn).block for s in self.stages()), default=CELL)
+        """Rows after which all blocks that its stages work in begin together."""
+        return math.lcm(CELL, *(s.block for s in self.stages()))
 
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""
@@ -117,6 +118,11 @@ class Stage(Node):
     @property
     def reach(self) -> int | None:
         known = locality(self.fn).reach
+        return known(self.options) if callable(known) else known
+
+    @property
+    def block(self) -> int:
+        known = locality(self.fn).block
         return known(self.options) if callable(known) else known
 
     def stages(self) -> Iterator["Stage"]:

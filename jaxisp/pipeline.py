@@ -24,7 +24,7 @@ from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.node import Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
-from jaxisp.registry import CELL, REGISTRY, Signature, register, sections, signature
+from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, sections, signature
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
@@ -212,7 +212,7 @@ def _groups(nodes: Iterable[Node]) -> Iterator[Row]:
     An encoder is alone: in the strips that its blocks need, other stages would do more over again. So is a
     node whose reach is not known.
     """
-    for alone, group in itertools.groupby(nodes, lambda n: n.reach is None or n.block > CELL):
+    for alone, group in itertools.groupby(nodes, lambda n: n.reach is None or n.block > LARGEST_CELL):
         together = tuple(group)
         for some in [(n,) for n in together] if alone else [together]:
             yield Row(some, "group")

@@ -26,8 +26,13 @@ Reach = int | None | Callable[[Mapping[str, Any]], int | None]
 REGISTRY: dict[str, StageFunction] = {}
 """Registered stage functions by name. `find_stage` sees to it that the package's own are there."""
 
+Block = int | Callable[[Mapping[str, Any]], int]
+"""Rows, or a function of the static options that gives them."""
+
 CELL = 2
-"""Rows of a mosaic's cell."""
+"""Rows of a Bayer mosaic's cell."""
+LARGEST_CELL = 6
+"""Of X-Trans."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,7 @@ class Locality:
     """How a stage may be cut into strips of rows: how far it looks, and where a strip may begin."""
 
     reach: Reach = None
-    block: int = CELL
+    block: Block = CELL
 
 
 _LOCALITY: WeakKeyDictionary[StageFunction, Locality] = WeakKeyDictionary()
@@ -44,8 +49,8 @@ _LOCALITY: WeakKeyDictionary[StageFunction, Locality] = WeakKeyDictionary()
 @overload
 def register(fn: StageFunction, /) -> StageFunction: ...
 @overload
-def register(*, reach: Reach = None, block: int = CELL) -> Callable[[StageFunction], StageFunction]: ...
-def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: int = CELL) -> Any:
+def register(*, reach: Reach = None, block: Block = CELL) -> Callable[[StageFunction], StageFunction]: ...
+def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: Block = CELL) -> Any:
     """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
 
     A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
@@ -58,8 +63,9 @@ def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: 
             pointwise; or a function of the static options that gives this. Chains work on large frames in
             strips of rows with so many more around them. None, the default: the result depends on the whole
             frame or on a pixel's position, and the stage runs on the whole frame.
-        block: rows of the blocks it works in, counted from the top: 2 for a mosaic's cells. A stage of
-            larger blocks, as an encoder, runs in strips of its own.
+        block: rows of the blocks it works in, counted from the top: 2 for a Bayer mosaic's cells, 6 for those
+            of X-Trans; or a function of the static options. A stage of larger blocks, as an encoder, runs in
+            strips of its own.
 
     Raises:
         TypeError: it is no stage function, or one that draws noise has a reach.

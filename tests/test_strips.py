@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxisp.cfa import XTRANS
 from jaxisp.domains import RGB
 from jaxisp.params import map_specs
 from jaxisp.pipeline import REGISTRY, Chain, Gate, Shuffle, register, run, run_in_strips, stage
@@ -16,6 +17,7 @@ from jaxisp.testing import smooth_image
 
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},
+    "demosaic_markesteijn": {"passes": 1},
     "unsharp_mask": {"radius": 3},
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},
@@ -24,7 +26,9 @@ OPTIONS = {
     "bilateral": {"iterations": [1, 2]},
     "color_difference_median": {"passes": [1, 3]},
     "demosaic_ahd": {"delta": [1, 3], "median_passes": [0, 1], "variant": ["paper", "libraw"]},
+    "demosaic_markesteijn": {"passes": [1, 3], "clipped": [True, False]},
     "demosaic_menon": {"refining": [True, False]},
+    "demosaic_normalized_convolution": {"cfa": ["RGGB", XTRANS]},
     "jpeg": {"subsampling": ["4:2:0", "4:4:4"], "row_phase": [0, 5]},
     "jpeg_file": {"subsampling": ["4:2:0"], "components": ["YCbCr", "RGB"], "converts": [True, False]},
     "jpeg_photoshop": {"subsampling": ["auto", "4:2:0"]},

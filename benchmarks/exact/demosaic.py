@@ -11,7 +11,7 @@ import numpy as np
 import rawpy
 
 from benchmarks.exact.row import Row, largest
-from jaxisp.cfa import PATTERNS
+from jaxisp.cfa import PATTERNS, XTRANS, shifted
 from jaxisp.testing import smooth_image
 from tests.stages.test_demosaic import (
     PEERS,
@@ -33,6 +33,7 @@ def rows() -> Iterator[Row]:
     yield hibbard()
     yield ahd_paper()
     yield ahd_libraw()
+    yield from markesteijn_libraw()
 
 
 def mosaics(cfa: str) -> Iterator[np.ndarray]:
@@ -100,3 +101,43 @@ def ahd_libraw() -> Row:
     reference = f"rawpy {rawpy.__version__}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
     name = 'demosaic_ahd(variant="libraw", delta=1)'
     return Row(name, reference, ran, min(decibels[0]), 45.0, "dB", at_least=True)
+
+
+def markesteijn_libraw() -> Iterator[Row]:
+    """LibRaw has one pass where PPG is asked for, three where AHD is; it takes 512 x 512 pixels at least."""
+    from benchmarks import ahd_libraw as libraw
+
+    algorithms = {1: rawpy.DemosaicAlgorithm.PPG, 3: rawpy.DemosaicAlgorithm.AHD}
+    agreement: dict[int, list[float]] = {1: [], 3: []}
+    other: dict[int, list[float]] = {1: [], 3: []}
+    truth: dict[str, list[float]] = {"ours 1": [], "ours 3": [], "LibRaw 1": [], "LibRaw 3": [], "linear": []}
+
+    def decibels(a: np.ndarray, b: np.ndarray) -> float:
+        return float(-10 * np.log10(np.mean((inside(a, libraw.BORDER) - inside(b, libraw.BORDER)) ** 2)))
+
+    with tempfile.TemporaryDirectory() as folder:
+        for i, (name, picture) in enumerate(libraw.pictures(512)):
+            path = libraw.as_dng(Path(folder) / f"{name}.dng", picture, shifted(XTRANS, i, 2 * i))
+            theirs = {passes: libraw.libraw(path, algorithm) for passes, algorithm in algorithms.items()}
+            for passes, (found, mosaic, cfa, _) in theirs.items():
+                ours = output("demosaic_markesteijn", mosaic, np.float32, cfa=cfa, passes=passes)
+                agreement[passes].append(decibels(ours, found))
+                other[4 - passes].append(decibels(ours, theirs[4 - passes][0]))
+                truth[f"ours {passes}"].append(decibels(ours, picture))
+                truth[f"LibRaw {passes}"].append(decibels(found, picture))
+            linear = output("demosaic_normalized_convolution", mosaic, np.float32, cfa=cfa)
+            truth["linear"].append(decibels(linear, picture))
+
+    def span(of: list[float]) -> str:
+        return f"{min(of):.1f} to {max(of):.1f}"
+
+    reference = f"rawpy {rawpy.__version__}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
+    for passes in algorithms:
+        near = f"{span(agreement[passes])} dB, with passes={4 - passes} {span(other[passes])}"
+        own, libraws = span(truth[f"ours {passes}"]), span(truth[f"LibRaw {passes}"])
+        right = f"to the photographs {own}, LibRaw's {libraws}, linear interpolation {span(truth['linear'])}"
+        where = f"three photographs as X-Trans DNG, in three phases, inside of {libraw.BORDER} px"
+        stage = f"demosaic_markesteijn(passes={passes})"
+        yield Row(
+            stage, reference, f"{where}: {near}; {right}", min(agreement[passes]), 52.0, "dB", at_least=True
+        )

@@ -8,7 +8,9 @@ from jaxisp.cli.common import add_command, print_json, say, warn
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "develop", run, "render a RAW file")
-    command.add_argument("raw", metavar="RAW", help="a Bayer RAW that LibRaw opens, or NAME.raw.npy")
+    command.add_argument(
+        "raw", metavar="RAW", help="a Bayer or X-Trans RAW that LibRaw opens, or NAME.raw.npy"
+    )
     command.add_argument("-o", "--out", required=True, metavar="OUT.png")
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="a camera written by jaxisp fit (default: a plain one)"
@@ -22,6 +24,7 @@ def run(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.camera import develop
+    from jaxisp.cfa import is_xtrans
     from jaxisp.errors import InputError
     from jaxisp.io import read_raw, write_png
     from jaxisp.io.files import check_output, real_paths
@@ -43,5 +46,6 @@ def run(arguments: Namespace) -> int:
         size = {"width": width, "height": height}
         print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": list(raw.notes)})
     else:
-        say(f"{arguments.out}: {width} x {height}, {raw.cfa}")
+        kind = "X-Trans" if is_xtrans(raw.cfa) else raw.cfa
+        say(f"{arguments.out}: {width} x {height}, {kind}")
     return 0

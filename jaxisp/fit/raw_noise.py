@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import nnls
 
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import check_bayer
 from jaxisp.io.raw import Raw
 
 _BLOCK = 8
@@ -67,7 +67,7 @@ def estimate_raw_noise(mosaic: np.ndarray, cfa: str) -> np.ndarray | None:
 
     Args:
         mosaic: (H, W) linear light, black is 0 and white is 1, negative values kept.
-        cfa: pattern from the top-left, such as "RGGB".
+        cfa: Bayer pattern from the top-left, such as "RGGB".
 
     Returns:
         (3, 2): shot and read of R, G and B in `variance = shot * x + read**2`; None where the picture
@@ -79,7 +79,7 @@ def estimate_raw_noise(mosaic: np.ndarray, cfa: str) -> np.ndarray | None:
     Source: Foi et al. 2008, "Practical Poissonian-Gaussian noise modeling and fitting for single-image
     raw-data"; the operator is that of Immerkaer 1996, "Fast noise variance estimation".
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     if mosaic.ndim != 2 or not np.isfinite(mosaic).all():
         raise ValueError(f"expected an (H, W) mosaic of finite values, got {mosaic.shape}")
     found = []

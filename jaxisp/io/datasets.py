@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxisp.cfa import is_xtrans
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, list_folder
 from jaxisp.io.images import read_image, read_with_header
@@ -70,6 +71,10 @@ class Pair:
     def load(self) -> Loaded:
         """Read both files; InputError names the one that is bad."""
         raw = read_raw(self.raw, self.settings.raw) if self.raw else None
+        if raw is not None and is_xtrans(raw.cfa):
+            raise InputError(
+                f"{self.raw}: is an X-Trans RAW; pairs need a Bayer mosaic (jaxisp develop renders both)"
+            )
         linear = self.settings.clean_encoding == "linear"
         clean, file = read_with_header(self.clean, linear=linear) if self.clean else (None, None)
         embedded = self.output == self.raw

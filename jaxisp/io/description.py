@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxisp.cfa import PATTERNS
+from jaxisp.cfa import PATTERNS, XTRANS, is_xtrans
 from jaxisp.errors import InputError
 from jaxisp.io.files import short
 
@@ -35,8 +35,11 @@ def describe(table: Any, source: str) -> RawDescription:
         if key not in known:
             raise InputError(f"{source}: [raw] has an unknown key {key!r}, expected {', '.join(known)}")
     cfa = table.get("cfa")
-    if cfa is not None and cfa not in PATTERNS:
-        raise InputError(f"{source}: [raw] cfa = {short(cfa)}, expected one of {', '.join(PATTERNS)}")
+    if cfa is not None and cfa not in PATTERNS and not is_xtrans(cfa):
+        raise InputError(
+            f"{source}: [raw] cfa = {short(cfa)}, expected one of {', '.join(PATTERNS)}, "
+            f"or the 36 letters of X-Trans, as {XTRANS}"
+        )
     if not isinstance(table.get("white_balanced", False), bool):
         raise InputError(f"{source}: [raw] white_balanced is not true or false")
     white = _numbers(table, "white", (1,), source)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from jaxisp.cfa import check_cfa
+from jaxisp.cfa import check_cfa, size
 from jaxisp.io import tags
 from jaxisp.io.files import PathLike, atomic_write
 from jaxisp.io.jpeg_frame import frame_header
@@ -52,7 +52,7 @@ def write_dng(
     Args:
         path: the file; it is replaced as a whole.
         mosaic: (H, W) uint16, the whole frame.
-        cfa: pattern of the active area from its top-left.
+        cfa: Bayer or X-Trans pattern of the active area from its top-left.
         black: 1 or 4 levels, the 2x2 cell of the active area row by row.
         white: level of a saturated pixel.
         color_matrix: (3, 3) XYZ to camera under D65 (ColorMatrix1), or None to leave it out.
@@ -77,8 +77,8 @@ def write_dng(
     top, left, height, width = crop or (0, 0, frame[2] - frame[0], frame[3] - frame[1])
     levels = np.rint(np.asarray(black, np.float64) * 256).astype(int).ravel()
     raw: list[Tag] = [
-        (tags.CFA_DIM, 3, 2, (2, 2)),
-        (tags.CFA_PATTERN, 1, 4, bytes("RGB".index(c) for c in check_cfa(cfa))),
+        (tags.CFA_DIM, 3, 2, (size(check_cfa(cfa)),) * 2),
+        (tags.CFA_PATTERN, 1, len(cfa), bytes("RGB".index(c) for c in cfa)),
         (tags.PLANE_COLOR, 1, 3, b"\0\1\2"),
         (50711, 3, 1, 1),  # CFALayout: rectangular
         (tags.BLACK_DIM, 3, 2, (2, 2) if levels.size == 4 else (1, 1)),

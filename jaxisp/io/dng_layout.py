@@ -22,16 +22,16 @@ _COMPRESSIONS = {
 
 
 def check_dng(tags: DngTags, path: Path, tell: Tell) -> None:
-    """Raise InputError where the RAW pixels are not one whole Bayer mosaic of integers."""
+    """Raise InputError where the RAW pixels are not one whole mosaic of integers."""
     raw = tags.raw
     _check_version(tags, tell)
     kind, samples = raw.get(tag.PHOTOMETRIC), raw.get(tag.SAMPLES, 1)
     if kind == tag.LINEAR_RAW and samples == 1:
-        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
+        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer or X-Trans mosaic")
     if kind == tag.LINEAR_RAW:
-        raise InputError(f"{path}: is a linear (already demosaicked) DNG, expected a Bayer mosaic")
+        raise InputError(f"{path}: is a linear (already demosaicked) DNG, expected a Bayer or X-Trans mosaic")
     if kind != tag.CFA:
-        raise InputError(f"{path}: holds no RAW pixels, expected a DNG with a Bayer mosaic")
+        raise InputError(f"{path}: holds no RAW pixels, expected a DNG with a mosaic")
     _check_size(raw, path)
     _check_filters(tags, path)
     if samples != 1:
@@ -76,14 +76,14 @@ def _check_filters(tags: DngTags, path: Path) -> None:
 
 
 def color_filters(tags: DngTags, path: Path) -> Filters:
-    """The Bayer pattern of the active area, whose filters may cover several pixels."""
+    """The pattern of the active area: Bayer, whose filters may cover several pixels, or X-Trans."""
     dims, pattern = tags.raw.get(tag.CFA_DIM, np.zeros(0)), tags.raw.get(tag.CFA_PATTERN, b"")
     found = None
     if dims.size == 2 and dims.min() >= 1 and len(pattern) == dims.prod() and max(pattern) <= 2:
         found = filters(np.array(list(pattern)).reshape(dims.astype(int)))
     if found is None:
         text = "x".join(f"{n:g}" for n in dims) or "unknown"
-        raise InputError(f"{path}: has a colour filter array that is not Bayer ({text} cell)")
+        raise InputError(f"{path}: has a colour filter array that is not Bayer or X-Trans ({text} cell)")
     return found
 
 

@@ -1,4 +1,4 @@
-"""LibRaw: opening a file, refusing what is no Bayer mosaic, and what it alone knows."""
+"""LibRaw: opening a file, refusing what is no mosaic, and what it alone knows."""
 
 import contextlib
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rawpy
 
-from jaxisp.cfa import PATTERNS
+from jaxisp.cfa import PATTERNS, is_xtrans, size
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, check_file, check_pixels
 from jaxisp.io.jpeg_frame import frame_header
@@ -32,25 +32,37 @@ def check_mosaic(raw: Any, path: Path) -> None:
     sizes = raw.sizes
     check_pixels(sizes.raw_width, sizes.raw_height, path.stat().st_size, str(path), bytes_each=2)
     if raw.num_colors == 1:
-        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer mosaic")
+        raise InputError(f"{path}: is a monochrome RAW, expected a Bayer or X-Trans mosaic")
     if raw.raw_type != rawpy.RawType.Flat or raw.raw_image is None:
         raise InputError(
-            f"{path}: holds full-colour pixels (linear, sRAW or Foveon), expected a Bayer mosaic"
+            f"{path}: holds full-colour pixels (linear, sRAW or Foveon), expected a Bayer or X-Trans mosaic"
         )
 
 
-def check_bayer(raw: Any, path: Path) -> str:
-    """The pattern of the visible area; InputError where LibRaw says it is not Bayer."""
+def check_pattern(raw: Any, path: Path) -> str:
+    """The pattern of the visible area; InputError where LibRaw says it is neither Bayer nor X-Trans."""
     check_mosaic(raw, path)
-    pattern, names = raw.raw_pattern, raw.color_desc.decode()
-    if pattern is not None and pattern.shape == (6, 6):
-        raise InputError(f"{path}: is an X-Trans RAW, expected a Bayer mosaic")
-    if pattern is None or pattern.shape != (2, 2):
-        raise InputError(f"{path}: has no 2x2 colour filter array, expected a Bayer mosaic")
-    cfa = "".join(names[i] for i in pattern.ravel())
-    if cfa not in PATTERNS:
-        raise InputError(f"{path}: has colour filters {cfa}, expected one of {', '.join(PATTERNS)}")
+    if raw.raw_pattern is None or raw.raw_pattern.shape not in ((2, 2), (6, 6)):
+        raise InputError(f"{path}: has no 2x2 or 6x6 colour filter array, expected a Bayer or X-Trans mosaic")
+    names = raw.color_desc.decode()
+    cfa = "".join(names[i] for i in visible_pattern(raw).ravel())
+    if cfa not in PATTERNS and not is_xtrans(cfa):
+        raise InputError(
+            f"{path}: has colour filters {cfa}, expected one of {', '.join(PATTERNS)} or X-Trans"
+        )
     return cfa
+
+
+def visible_pattern(raw: Any) -> np.ndarray:
+    """The cell of LibRaw's colours from the top-left of the visible area; rawpy's is that of the frame."""
+    return np.roll(raw.raw_pattern, (-raw.sizes.top_margin, -raw.sizes.left_margin), (0, 1))
+
+
+def check_cells(shape: tuple[int, int], cfa: str, path: Path) -> None:
+    """InputError where a picture is smaller than the cell of its filters: some colour may be missing."""
+    n = size(cfa)
+    if min(shape) < n:
+        raise InputError(f"{path}: is a mosaic of {shape[1]} x {shape[0]} pixels, expected {n} x {n} or more")
 
 
 def camera_crop(sizes: Any) -> tuple[int, int, int, int]:

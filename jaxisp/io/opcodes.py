@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
+from jaxisp.cfa import size
 from jaxisp.errors import InputError
 
 _WARP_RECTILINEAR, _FIX_VIGNETTE_RADIAL, _GAIN_MAP = 1, 3, 9
@@ -173,10 +174,11 @@ def shading_gain(
         if isinstance(opcode, FixVignetteRadial):
             out *= vignetting_gain(opcode, shape)
         elif isinstance(opcode, GainMap):
+            n = size(cfa)
             for i, color in enumerate(cfa):
                 plane = "RGB".index(color)
                 if opcode.plane <= plane < opcode.plane + opcode.planes:
-                    _multiply(out, opcode, plane, (slice(i // 2, None, 2), slice(i % 2, None, 2)))
+                    _multiply(out, opcode, plane, (slice(i // n, None, n), slice(i % n, None, n)))
     return out
 
 

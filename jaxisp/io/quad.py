@@ -1,4 +1,4 @@
-"""Colour filters of n x n pixels each (quad Bayer and larger), made a Bayer mosaic."""
+"""Patterns of colour filters; those of n x n pixels each (quad Bayer and larger) made a Bayer mosaic."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from jaxisp.cfa import PATTERNS, shifted
+from jaxisp.cfa import PATTERNS, is_xtrans, shifted
 from jaxisp.io.opcodes import GainMap, Opcode
 
 _MOST_CELL = 16  # rows and columns of a repeated cell
@@ -16,11 +16,11 @@ _STRIP = 512  # rows that are made at once: what a frame of 200 megapixels takes
 
 
 class Filters(NamedTuple):
-    """A Bayer pattern whose every filter covers `size` x `size` pixels.
+    """A pattern whose every filter covers `size` x `size` pixels.
 
     Args:
         cfa: of the filters, from the first that is whole.
-        size: 1 for a plain Bayer mosaic.
+        size: 1 for a plain Bayer mosaic and for X-Trans.
         start: row and column of the first filter that is whole, both below `size`.
     """
 
@@ -38,9 +38,12 @@ class Filters(NamedTuple):
 
 
 def filters(cell: np.ndarray) -> Filters | None:
-    """What a repeated cell (rows, columns) of 0, 1, 2 for R, G, B is; None where it is no Bayer pattern."""
+    """What a repeated cell (rows, columns) of 0, 1, 2 for R, G, B is; None where it is no known pattern."""
     if max(cell.shape) > _MOST_CELL:
         return None
+    names = np.array(list("RGB"))[cell]
+    if cell.shape == (6, 6) and is_xtrans(cfa := "".join(names.ravel())):
+        return Filters(cfa)
     for size in range(1, _LARGEST + 1):
         shape = [math.lcm(n, 2 * size) for n in cell.shape]
         whole = np.tile(cell, [n // own for n, own in zip(shape, cell.shape)])

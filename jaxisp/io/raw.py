@@ -21,7 +21,15 @@ from jaxisp.io.calibration import (
 )
 from jaxisp.io.description import RawDescription
 from jaxisp.io.files import PathLike, check_file, load_npy
-from jaxisp.io.libraw import camera_crop, check_bayer, check_mosaic, opened, white_gains
+from jaxisp.io.libraw import (
+    camera_crop,
+    check_cells,
+    check_mosaic,
+    check_pattern,
+    opened,
+    visible_pattern,
+    white_gains,
+)
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, Opcode, WarpRectilinear, shading_gain
 from jaxisp.io.quad import Filters, binned, reduced, remosaicked
 from jaxisp.io.settings import SettingsFile
@@ -39,8 +47,8 @@ class Raw:
 
     Args:
         mosaic: (H, W) float32, linear; black is 0, white is 1. Negatives are kept, values may exceed 1.
-        cfa: pattern of `mosaic` from its top-left.
-        black: (4,) levels of its 2x2 cell row by row, in the file's units (means where they vary).
+        cfa: Bayer or X-Trans pattern of `mosaic` from its top-left.
+        black: (4,) levels of 2x2 places row by row, in the file's units (means where they vary).
         white: saturation level in the file's units.
         white_balance: (3,) gains as shot, green 1; ones where the file states none. Not applied,
             unless `white_balanced`.
@@ -103,7 +111,7 @@ class Raw:
             return None
         top, left, bottom, right = self.active_area
         y, x, height, width = self.crop
-        cfa = shifted(self.cfa, y, x)  # of the active area: to shift twice is not to shift
+        cfa = shifted(self.cfa, -y, -x)  # of the active area
         gain = shading_gain(self.opcodes_2, (bottom - top, right - left), self.opcodes_3, cfa)
         return gain[y : y + height, x : x + width]
 
@@ -115,7 +123,7 @@ def read_raw(
     """Read a RAW file, or a mosaic in `NAME.raw.npy`.
 
     Args:
-        path: any Bayer RAW that LibRaw opens, or a DNG whose filters cover 2x2 to 4x4 pixels each.
+        path: any Bayer or X-Trans RAW that LibRaw opens, or a DNG whose filters cover 2x2 to 4x4 pixels each.
         description: overrides what the file states; by default `[raw]` of the dataset.toml beside it, and
             that of the file's own stem. A `.npy`, or a `.raw` without a header (which LibRaw knows by nothing
             but its size), must have one.
@@ -124,8 +132,8 @@ def read_raw(
 
     Raises:
         ValueError: another `quad`.
-        InputError: it cannot be read, is damaged or truncated, or is no Bayer mosaic (X-Trans,
-            monochrome, linear, Foveon).
+        InputError: it cannot be read, is damaged or truncated, or is neither a Bayer nor an X-Trans mosaic
+            (monochrome, linear, Foveon).
     """
     if quad not in ("bin", "remosaic"):
         raise ValueError(f"read_raw: quad must be bin or remosaic, got {quad!r}")
@@ -262,10 +270,10 @@ def _calibrated(raw: Raw, calibration: Calibration, neutral: np.ndarray) -> Raw:
 
 def _read_other(path: Path, tags: tag.DngTags | None, description: RawDescription) -> Raw:
     with opened(path) as raw:
-        cfa, sizes = check_bayer(raw, path), raw.sizes
+        cfa, sizes = check_pattern(raw, path), raw.sizes
         crop = camera_crop(sizes)
         levels = _cut(raw.raw_image_visible, crop).astype(np.float32)
-        cell = np.roll(raw.raw_pattern, (-crop[0], -crop[1]), (0, 1))
+        cell = np.roll(visible_pattern(raw), (-crop[0], -crop[1]), (0, 1))
         black = np.array(raw.black_level_per_channel, np.float32)[cell]
         rgb = [raw.color_desc.decode().index(name) for name in "RGB"]
         matrix = np.array(raw.rgb_xyz_matrix, np.float64)[rgb]
@@ -335,14 +343,16 @@ def _finish(raw: Raw, description: RawDescription, largest: float | None = None)
             f"{raw.path}: has a white level of {white:g} that is not above its black of {largest:g}"
         )
     out, scale = raw.mosaic, np.float32(white) - np.float32(largest)
-    for y in (0, 1):
-        for x in (0, 1):
-            out[y::2, x::2] = (out[y::2, x::2] - black[y::2, x::2]) / scale
+    n = 6 if black.shape == (6, 6) else 2
+    for y, x in np.ndindex(n, n):
+        out[y::n, x::n] = (out[y::n, x::n] - black[y::n, x::n]) / scale
     check_finite(str(raw.path), out)
+    cfa = description.cfa or raw.cfa
+    check_cells(out.shape, cfa, raw.path)
     balance = raw.white_balance if description.white_balance is None else description.white_balance
     return replace(
         raw,
-        cfa=description.cfa or raw.cfa,
+        cfa=cfa,
         black=np.array([black[y::2, x::2].mean(dtype=np.float64) for y in (0, 1) for x in (0, 1)]),
         white=float(white),
         white_balance=balance / balance[1],

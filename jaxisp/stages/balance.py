@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from jaxisp import cfa as bayer
+from jaxisp import cfa as filters
 from jaxisp.arrays.linear import scaled
 from jaxisp.arrays.planes import interleaved, planes
-from jaxisp.cfa import Pattern
+from jaxisp.cfa import Pattern, rows_of_cell
 from jaxisp.color import apply_matrix, luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.colorimetry import D65_TEMPERATURE, D65_TINT, illuminant_rgb
 from jaxisp.domains import RGB, CameraRGB, LinearRGB, Mosaic
@@ -43,7 +43,7 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
     return image * params.gains.astype(image.dtype)
 
 
-@register(reach=0)
+@register(reach=0, block=rows_of_cell)
 def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Multiply each photosite by the gain of its colour.
 
@@ -52,7 +52,7 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: Pattern = 
     Args:
         params: gains of R, G, B; both greens have the same.
         image: (H, W) linear light, black level subtracted, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
@@ -65,7 +65,7 @@ def mosaic_white_balance(params: WhiteBalance, image: Mosaic, *, cfa: Pattern = 
     Source: Jaroensri et al. 2019, section 3.
     """
     r, g, b = params.gains.astype(image.dtype)
-    return image * bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), r, g, b)
+    return image * filters.select(filters.masks((image.shape[0], image.shape[1]), cfa), r, g, b)
 
 
 @parameters

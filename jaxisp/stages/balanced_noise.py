@@ -2,7 +2,7 @@
 
 import jax
 
-from jaxisp import cfa as bayer
+from jaxisp import cfa as filters
 from jaxisp.arrays.safe_math import safe_sqrt
 from jaxisp.cfa import Pattern
 from jaxisp.domains import Mosaic
@@ -31,7 +31,7 @@ def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa:
         params: shot, read and the gains of red and blue.
         image: (H, W) white-balanced linear light, any range.
         key: draws the noise.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light, not clipped.
@@ -40,9 +40,9 @@ def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa:
 
     Source: Foi et al. 2008; EMVA Standard 1288.
     """
-    masks = bayer.masks((image.shape[0], image.shape[1]), cfa)
+    masks = filters.masks((image.shape[0], image.shape[1]), cfa)
     red, blue = (g.astype(image.dtype) + 0 * image for g in (params.red_gain, params.blue_gain))
-    gain = bayer.select(masks, red, 1 + 0 * image, blue)
+    gain = filters.select(masks, red, 1 + 0 * image, blue)
     light = (image > 0) * image
     variance = gain * params.shot * light + (gain * params.read) ** 2
     return image + safe_sqrt(variance) * jax.random.normal(key, image.shape, image.dtype)

@@ -1,6 +1,7 @@
 """Choices as numbers: demosaicking algorithms and chroma sampling of a pipeline that is compiled once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated
 
 import jax
@@ -11,7 +12,7 @@ from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
 from jaxisp.arrays.shares import weighted
-from jaxisp.cfa import Pattern
+from jaxisp.cfa import Pattern, is_xtrans
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
 from jaxisp.options import one_of
@@ -24,7 +25,9 @@ from jaxisp.stages.demosaic import (
     demosaic_hamilton_adams,
     demosaic_hibbard,
     demosaic_malvar,
+    demosaic_markesteijn,
     demosaic_menon,
+    demosaic_normalized_convolution,
     demosaic_vng,
 )
 from jaxisp.stages.jpeg import Jpeg, Sampling, jpeg
@@ -39,9 +42,21 @@ DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "vng": demosaic_vng,
     "edge-aware": demosaic_edge_aware,
 }
+"""Of Bayer mosaics."""
+XTRANS_DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
+    "markesteijn": demosaic_markesteijn,
+    "markesteijn-1": partial(demosaic_markesteijn, passes=1),
+    "normalized-convolution": demosaic_normalized_convolution,
+}
+"""Of X-Trans mosaics."""
 
 
-Algorithm = Annotated[str, one_of(*DEMOSAICKERS)]
+def demosaickers(cfa: str) -> Mapping[str, Callable[..., jax.Array]]:
+    """The algorithms for a pattern."""
+    return XTRANS_DEMOSAICKERS if is_xtrans(cfa) else DEMOSAICKERS
+
+
+Algorithm = Annotated[str, one_of(*DEMOSAICKERS, *XTRANS_DEMOSAICKERS)]
 
 
 @parameters
@@ -59,27 +74,34 @@ def demosaicking(
     cfa: Pattern = "RGGB",
     algorithm: Algorithm = "malvar",
 ) -> CameraRGB:
-    """Demosaick by one of eight algorithms, or a mix, the choice being a parameter.
+    """Demosaick by one of several algorithms, or a mix, the choice being a parameter.
 
     `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap`,
     and for gradients to the shares, all are).
 
     Args:
-        params: the shares.
+        params: the shares; on X-Trans the first three, in the order of `XTRANS_DEMOSAICKERS`.
         image: (H, W) linear light, any range.
-        cfa: the pattern, row-major from the top-left.
-        algorithm: D, which all shares 0 leave: one of `DEMOSAICKERS`.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
+        algorithm: D, which all shares 0 leave: one of `DEMOSAICKERS`, or of `XTRANS_DEMOSAICKERS`.
 
     Returns:
         (H, W, 3) camera RGB.
+
+    Raises:
+        ValueError: unknown pattern, or an algorithm that is not for it.
 
     Gradient: exact to the shares; to the image that of the algorithms.
 
     Source: see the stages named.
     """
-    start = as_rows(DEMOSAICKERS[algorithm](image, cfa=cfa))
+    known = demosaickers(cfa)
+    if algorithm not in known:
+        kind = "X-Trans" if is_xtrans(cfa) else "a Bayer pattern"
+        raise ValueError(f"demosaicking: algorithm {algorithm!r} on {kind}, expected {', '.join(known)}")
+    start = as_rows(known[algorithm](image, cfa=cfa))
     change = jnp.zeros_like(start)
-    for share, (name, run) in zip(params.shares, DEMOSAICKERS.items()):
+    for share, (name, run) in zip(params.shares, known.items()):
         if name == algorithm:  # D less D
             continue
         change = change + weighted(lambda m, s, run=run: as_rows(run(m, cfa=cfa)) - s, share, image, start)

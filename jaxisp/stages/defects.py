@@ -104,7 +104,8 @@ def defect_correction(params: DefectCorrection, image: Mosaic) -> Mosaic:
     """Replace photosites that stand out among their neighbours of the same colour.
 
     `y = m where |x - m| > threshold else x`, m the median of the 3x3 same-colour photosites two pixels
-    apart, the photosite itself included; the two greens are kept apart, so any Bayer pattern will do.
+    apart, the photosite itself included; the two greens are kept apart, so any Bayer pattern will do, but
+    not X-Trans.
 
     Args:
         params: threshold, in the unit of the image.

@@ -5,12 +5,12 @@ from typing import Annotated
 import jax
 import jax.numpy as jnp
 
-from jaxisp import cfa as bayer
+from jaxisp import cfa as filters
 from jaxisp.arrays.linear import linear_call, pointwise, scaled
 from jaxisp.arrays.planes import planes
 from jaxisp.arrays.safe_math import clip_through, round_through, straight_through
 from jaxisp.arrays.stencils import edge_counts, pad
-from jaxisp.cfa import Pattern
+from jaxisp.cfa import Bayer, Pattern, check_bayer, rows_of_cell
 from jaxisp.domains import Image, LinearRGB, Mosaic
 from jaxisp.options import Share, below
 from jaxisp.params import Leaf, param, parameters
@@ -18,15 +18,15 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import diagonal_sum, row_and_column_sums
 
 
-@register(reach=0)
+@register(reach=0, block=rows_of_cell)
 def mosaic(image: LinearRGB, *, cfa: Pattern = "RGGB") -> Mosaic:
     """Keep one colour at each photosite.
 
-    `y = x_c`, with c the colour of the photosite in the Bayer pattern.
+    `y = x_c`, with c the colour of the photosite in the pattern.
 
     Args:
         image: (H, W, 3) linear light, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
@@ -38,7 +38,7 @@ def mosaic(image: LinearRGB, *, cfa: Pattern = "RGGB") -> Mosaic:
 
     Source: Jaroensri et al. 2019, section 3; Bayer 1976 (US 3 971 065).
     """
-    return bayer.select(bayer.masks((image.shape[0], image.shape[1]), cfa), *planes(image))
+    return filters.select(filters.masks((image.shape[0], image.shape[1]), cfa), *planes(image))
 
 
 @parameters
@@ -229,7 +229,7 @@ class GreenImbalance:
 
 
 @register(reach=0)
-def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: Pattern = "RGGB") -> Mosaic:
+def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: Bayer = "RGGB") -> Mosaic:
     """Give the two greens different gains.
 
     `y = x (1 + difference / 2)` at greens in red's rows, `x (1 - difference / 2)` at those in blue's rows;
@@ -238,20 +238,21 @@ def green_imbalance(params: GreenImbalance, image: Mosaic, *, cfa: Pattern = "RG
     Args:
         params: difference; 0 leaves the mosaic as it is, the opposite sign undoes it to first order.
         image: (H, W) linear light, black level subtracted, any range.
-        cfa: the pattern, row-major from the top-left.
+        cfa: the Bayer pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light.
 
     Raises:
-        ValueError: unknown pattern.
+        ValueError: cfa is not a Bayer pattern: X-Trans has no such two greens.
 
     Gradient: exact.
 
     Source: DNG Specification 1.6 (BayerGreenSplit).
     """
-    _, green, _ = bayer.masks((image.shape[0], image.shape[1]), cfa)
-    in_red_rows = jax.lax.broadcasted_iota(jnp.int32, image.shape, 0) % 2 == bayer.site(cfa, "R")[0]
+    check_bayer(cfa)
+    _, green, _ = filters.masks((image.shape[0], image.shape[1]), cfa)
+    in_red_rows = jax.lax.broadcasted_iota(jnp.int32, image.shape, 0) % 2 == filters.site(cfa, "R")[0]
     half = (0.5 * params.difference).astype(image.dtype)
     return image * jnp.where(green, 1 + jnp.where(in_red_rows, half, -half), 1)
 
@@ -280,7 +281,7 @@ def crosstalk(params: Crosstalk, image: Mosaic) -> Mosaic:
         image: (H, W) linear light, before white balance, any range.
 
     Returns:
-        (H, W) linear light. Borders are reflected, which keeps the phase of the pattern.
+        (H, W) linear light. Borders are reflected, which keeps the phase of a Bayer pattern.
 
     Gradient: exact.
 

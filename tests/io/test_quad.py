@@ -11,7 +11,7 @@ from jaxisp.samples import scene
 from tests.io.samples import BLACK, NEUTRAL, WHITE, dng
 from tests.io.test_raw import refused
 
-XTRANS = np.array([[1, 0, 2, 1, 2, 0], [1, 2, 0, 1, 0, 2]] * 3)
+NOT_XTRANS = np.array([[1, 0, 2, 1, 2, 0], [1, 2, 0, 1, 0, 2]] * 3)
 GAINS = 1 / np.array(NEUTRAL)
 
 
@@ -47,9 +47,12 @@ def test_filters_are_found(cfa, size):
 
 
 def test_what_is_no_bayer_pattern_is_none(tmp_path):
-    assert filters(XTRANS) is None
+    assert filters(NOT_XTRANS) is None
     assert filters(np.array([[0, 1, 2, 1], [1, 0, 1, 2]] * 2)) is None
-    refused(quad_dng(tmp_path / "a.dng", np.full((60, 60), 500, np.uint16), XTRANS), "not Bayer (6x6 cell)")
+    refused(
+        quad_dng(tmp_path / "a.dng", np.full((60, 60), 500, np.uint16), NOT_XTRANS),
+        "not Bayer or X-Trans (6x6 cell)",
+    )
 
 
 @pytest.mark.parametrize(("size", "start"), [(2, (0, 0)), (2, (1, 0)), (3, (2, 1)), (4, (0, 3))])

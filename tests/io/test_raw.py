@@ -292,9 +292,9 @@ def _patched(path, code: int, value: bytes):
 
 def test_not_a_bayer_mosaic(tmp_path):
     cfa = [(33421, 3, 2, (6, 6)), (33422, 1, 36, bytes([1, 0, 2, 1, 2, 0] * 6))]
-    refused(dng(tmp_path / "xtrans.dng", extra_tags=cfa), "not Bayer (6x6 cell)")
+    refused(dng(tmp_path / "six.dng", extra_tags=cfa), "not Bayer or X-Trans (6x6 cell)")
     cfa = [(33421, 3, 2, (4, 4)), (33422, 1, 16, bytes([0, 0, 1, 1] * 2 + [1, 1, 2, 0] * 2))]
-    refused(dng(tmp_path / "odd.dng", extra_tags=cfa), "not Bayer (4x4 cell)")
+    refused(dng(tmp_path / "odd.dng", extra_tags=cfa), "not Bayer or X-Trans (4x4 cell)")
     refused(dng(tmp_path / "cyan.dng", extra_tags=[(50710, 1, 3, b"\3\4\5")]), "red, green and blue")
     refused(_patched(dng(tmp_path / "mono.dng"), 262, struct.pack("<H", 34892)), "monochrome")
     tags = [(50706, 1, 4, b"\1\4\0\0", True)]

@@ -1,4 +1,7 @@
-"""Demosaicking: mosaic to camera RGB, by eight algorithms, and the median that cleans up after them."""
+"""Demosaicking: mosaic to camera RGB, and the median that cleans up after it.
+
+Eight algorithms for Bayer mosaics, Markesteijn's for X-Trans, and normalised convolution for both.
+"""
 
 from jaxisp.stages.demosaic.ahd import demosaic_ahd
 from jaxisp.stages.demosaic.bilinear import demosaic_bilinear
@@ -6,8 +9,10 @@ from jaxisp.stages.demosaic.edge_aware import demosaic_edge_aware
 from jaxisp.stages.demosaic.hamilton_adams import demosaic_hamilton_adams
 from jaxisp.stages.demosaic.hibbard import demosaic_hibbard
 from jaxisp.stages.demosaic.malvar import demosaic_malvar
+from jaxisp.stages.demosaic.markesteijn import demosaic_markesteijn
 from jaxisp.stages.demosaic.median import color_difference_median
 from jaxisp.stages.demosaic.menon import demosaic_menon
+from jaxisp.stages.demosaic.normalized_convolution import demosaic_normalized_convolution
 from jaxisp.stages.demosaic.vng import demosaic_vng
 
 __all__ = [
@@ -18,6 +23,8 @@ __all__ = [
     "demosaic_hamilton_adams",
     "demosaic_hibbard",
     "demosaic_malvar",
+    "demosaic_markesteijn",
     "demosaic_menon",
+    "demosaic_normalized_convolution",
     "demosaic_vng",
 ]

@@ -10,7 +10,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad
 from jaxisp.arrays.strips import in_strips_on_cpu
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.options import Count, Positive, one_of
 from jaxisp.pipeline import register
@@ -37,7 +37,7 @@ Variant = Annotated[str, one_of("paper", "libraw")]
 def demosaic_ahd(
     image: Mosaic,
     *,
-    cfa: Pattern = "RGGB",
+    cfa: Bayer = "RGGB",
     delta: Positive = 2,
     median_passes: Count = 0,
     variant: Variant = "paper",
@@ -72,7 +72,7 @@ def demosaic_ahd(
     Source: Hirakawa & Parks 2005, with the green filter [-1, 2, 2, 2, -1] / 4; the variant: Coffin's
     dcraw, as LibRaw 0.22 has it.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     if delta < 1:
         raise ValueError(f"demosaic_ahd: delta must be 1 or more, got {delta}")
     if variant not in ("paper", "libraw"):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -22,7 +22,7 @@ from jaxisp.stages.demosaic.linear import mirrored
 
 
 @register(reach=1)
-def demosaic_bilinear(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_bilinear(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Fill in each colour by the mean of its nearest samples: blurs, and leaves zipper and colour fringes.
 
     `G = (left + right + up + down) / 4` on red and blue; R and B are the mean of the 2 nearest in the
@@ -42,7 +42,7 @@ def demosaic_bilinear(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
 
     Source: Longere et al. 2002, bilinear interpolation.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_interpolate, cfa)
     adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
     return linear_call(lambda _, x: forward(x), lambda _, y: adjoint(y), (), image)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import collect, diagonal_sum, red_and_blue, row_and_column_sums, sites
@@ -16,7 +16,7 @@ from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
 @register(reach=1)
-def demosaic_edge_aware(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_edge_aware(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, red and blue bilinearly.
 
     `G = (left + right) / 2 if |left - right| <= |up - down| else (up + down) / 2`.
@@ -35,7 +35,7 @@ def demosaic_edge_aware(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
 
     Source: OpenCV's "edge-aware" conversion; Hibbard 1995 for the choice.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_by_planes, cfa)
     adjoint = mirrored(forward, partial(_collected, cfa), image.shape)
     return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)

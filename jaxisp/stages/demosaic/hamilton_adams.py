@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -24,7 +24,7 @@ from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
 @register(reach=3)
-def demosaic_hamilton_adams(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_hamilton_adams(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction that is flatter in green and in the pixel's own colour.
 
     `G = (left + right) / 2 + (2 x - left_2 - right_2) / 4` where `|left - right| + |2 x - left_2 - right_2|`
@@ -45,7 +45,7 @@ def demosaic_hamilton_adams(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRG
 
     Source: Hamilton & Adams 1997, US patent 5629734; red and blue by plain colour differences.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_by_differences, cfa)
     adjoint = mirrored(forward, partial(_collected, cfa), image.shape)
     return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa, shifted
+from jaxisp.cfa import Bayer, check_bayer, shifted
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -22,7 +22,7 @@ from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
 @register(reach=2)
-def demosaic_hibbard(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_hibbard(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, then the differences from green.
 
     `G = (left + right) / 2 if |left - right| < |up - down|, (up + down) / 2 if it is greater, the mean
@@ -42,7 +42,7 @@ def demosaic_hibbard(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
 
     Source: Hibbard 1995, US patent 5382976, with the two gradients compared with each other.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_with_share, cfa)
     adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
     return piecewise_linear(partial(_evaluate, cfa), forward, adjoint)(image)

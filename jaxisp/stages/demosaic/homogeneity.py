@@ -16,7 +16,7 @@ _GROUP = 12  # window offsets a fused kernel, three planes each
 
 def homogeneity_lead(rows: Planes, columns: Planes, delta: int) -> jax.Array:
     """By how many pixels the 3x3 homogeneity of the candidate interpolated along rows is the greater."""
-    lab_rows, lab_columns = (materialize(_lab(lax.stop_gradient(c))) for c in (rows, columns))
+    lab_rows, lab_columns = (materialize(lab(lax.stop_gradient(c))) for c in (rows, columns))
     padded_rows, padded_columns = (
         [pad(p, delta, whole=True) for p in lab] for lab in (lab_rows, lab_columns)
     )
@@ -58,7 +58,7 @@ def _count(padded: list[jax.Array], tolerance: tuple[jax.Array, jax.Array], delt
     return total
 
 
-def _lab(rgb: Planes) -> Planes:
+def lab(rgb: Planes) -> Planes:
     """CIELAB of linear sRGB, D65, on any finite value."""
     red, green, blue = rgb
     matrix = SRGB_TO_XYZ / SRGB_TO_XYZ.sum(axis=1, keepdims=True)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -22,7 +22,7 @@ from jaxisp.stages.demosaic.linear import mirrored
 
 
 @register(reach=2)
-def demosaic_malvar(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_malvar(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Bilinear interpolation plus a share of the Laplacian of the colour measured on the spot.
 
     `G = bilinear + 1/2 Lap(x)` on red and blue; R and B are bilinear plus 5/8 of a 5x5 Laplacian of
@@ -42,7 +42,7 @@ def demosaic_malvar(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
 
     Source: Malvar, He & Cutler 2004, figure 2 (gains 1/2, 5/8, 3/4).
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_interpolate, cfa)
     adjoint = mirrored(forward, partial(_collect, cfa), image.shape)
     return linear_call(lambda _, x: forward(x), lambda _, y: adjoint(y), (), image)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import (
@@ -23,7 +23,7 @@ from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
 @register(reach=8)
-def demosaic_menon(image: Mosaic, *, cfa: Pattern = "RGGB", refining: bool = True) -> CameraRGB:
+def demosaic_menon(image: Mosaic, *, cfa: Bayer = "RGGB", refining: bool = True) -> CameraRGB:
     """Interpolate green along rows and along columns, keep where colour differences vary less, and refine.
 
     `G = G_h if d_v >= d_h else G_v`, `d` the weighted sum over a 5x5 window of `|C(n) - C(n + 2)|`
@@ -46,7 +46,7 @@ def demosaic_menon(image: Mosaic, *, cfa: Pattern = "RGGB", refining: bool = Tru
 
     Source: Menon, Andriani & Calvagno 2007.
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_with_direction, cfa, refining)
     adjoint = mirrored(forward, partial(_collect, cfa, refining), image.shape)
     return piecewise_linear(partial(_evaluate, cfa, refining), forward, adjoint)(image)

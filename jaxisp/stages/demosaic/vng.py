@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.stencils import pad, views
-from jaxisp.cfa import Pattern, check_cfa
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import Pair, Sites, sites
@@ -20,7 +20,7 @@ _DIAGONAL: list[Offset] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
 
 
 @register(reach=2)
-def demosaic_vng(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
+def demosaic_vng(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Take colour differences from those of eight directions whose gradients are small.
 
     A direction's gradient is a sum of absolute differences of like samples in the 5x5 window; those count
@@ -42,7 +42,7 @@ def demosaic_vng(image: Mosaic, *, cfa: Pattern = "RGGB") -> CameraRGB:
     Source: Chang, Cheung & Pang 1999, with the threshold that converters use (theirs is
     `1.5 min + 0.5 (min + max)`).
     """
-    check_cfa(cfa)
+    check_bayer(cfa)
     forward = partial(_with_weights, cfa)
     return piecewise_linear(partial(_evaluate, cfa), forward, partial(_collected, cfa))(image)
 
