@@ -90,7 +90,7 @@ class GivenBase:
         params: its constants, and the medians of what it draws.
         open: what is fitted to the statistics.
         mean: what is fitted besides, near where it is.
-        absorbed: effects that this takes up.
+        absorbed: effects that its open numbers absorb.
     """
 
     about: str
