@@ -9,7 +9,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
+from jaxisp.arrays.dtypes import given_and_exact, in_dtype
 from jaxisp.arrays.varying import alike
 from jaxisp.domains import Domain
 from jaxisp.options import check_option
@@ -88,7 +90,11 @@ class Node:
 
 @dataclass(frozen=True)
 class Stage(Node):
-    """A stage function with its static options bound and a name. Build it with `stage`."""
+    """A stage function with its static options bound and a name. Build it with `stage`.
+
+    The result has the image's dtype. Images of half precision are computed in float32 and rounded at the end;
+    parameters take the dtype that is computed in.
+    """
 
     fn: Callable[..., jax.Array]
     name: str
@@ -142,10 +148,12 @@ class Stage(Node):
         if declared.stochastic:
             assert key is not None, "__call__ has checked it"
             arguments["key"] = jax.random.fold_in(key, zlib.crc32(self.name.encode()) & 0x7FFFFFFF)
-        if declared.params is None:
-            return self.fn(image, **arguments)
-        own = entry(params, self.name, declared.params)
-        return self.fn(own, image, **arguments)
+        dtype, exact = given_and_exact(image)
+        inputs: tuple[Any, ...] = (image,) if dtype == exact else (lax.convert_element_type(image, exact),)
+        if declared.params is not None:
+            inputs = (in_dtype(entry(params, self.name, declared.params), exact), *inputs)
+        out = self.fn(*inputs, **arguments)
+        return out if dtype == exact else lax.convert_element_type(out, dtype)
 
     def _check_image(self, image: jax.Array) -> None:
         channels, shape = self.domain_in.channels, jnp.shape(image)

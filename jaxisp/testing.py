@@ -86,7 +86,7 @@ class Subject:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """Weights of the output's values, whose weighted sum is differentiated."""
-        out = jax.eval_shape(self.node, self.params(), self.image(), key=jax.random.key(0))
+        out = run.eval_shape(self.node, self.params(), self.image(), jax.random.key(0))
         return np.random.default_rng(1).standard_normal(out.shape).astype(np.float32)
 
     @functools.cached_property
@@ -172,7 +172,7 @@ def _gradient_is_finite(subject: Subject) -> None:
 def _products_are_precise(subject: Subject) -> None:
     """Every matrix product and convolution asks for full precision: a GPU's default has 10 bits."""
     node, params, image, key = subject.node, subject.params(), subject.image(), jax.random.key(0)
-    forward = jax.make_jaxpr(lambda p, x: node(p, x, key=key))(params, image)  # a custom rule has its own
+    forward = run.trace(node, params, image, key).jaxpr  # a custom rule has its own
     backward = subject.gradient.trace(params, image, subject.weights, key).jaxpr
     found = imprecise_products(forward) + imprecise_products(backward)
     _require(not found, f"{node.name}: give precision=HIGHEST to {found[:1]}")
@@ -208,8 +208,7 @@ def _gradient_is_exact(subject: Subject) -> None:
         params, image, key = (
             subject.params(dtype=np.float64), subject.image(dtype=np.float64), jax.random.key(0),
         )  # fmt: skip
-        out = jax.eval_shape(subject.node, params, image, key=key)
-        weights = rng.standard_normal(out.shape)
+        weights = rng.standard_normal(subject.weights.shape)
 
         def weighted(p: Any, x: jax.Array) -> jax.Array:
             return jnp.sum(subject.node(p, x, key=key) * weights)
@@ -232,6 +231,34 @@ def _gradient_is_exact(subject: Subject) -> None:
 
         best = min(error(h) for h in (1e-5, 1e-6, 1e-7))
     _require(best < 1e-4, f"{subject.node.name}: gradient differs from differences by {best:.2e} of it")
+
+
+def _numeric_modes(subject: Subject) -> None:
+    """In each of JAX's numeric modes it traces, with gradients, and its result has the image's dtype.
+
+    Half precision; double precision enabled, with an image of either; strict dtype promotion; no implicit
+    rank promotion. Nothing is compiled.
+    """
+    node, params, image, key = subject.node, subject.params(), subject.image(), jax.random.key(0)
+    weights = subject.weights
+
+    def gives(mode: str, dtype: Any) -> None:
+        given = jax.ShapeDtypeStruct(image.shape, dtype)
+        try:
+            out = jax.eval_shape(lambda p, x: node(p, x, key=key), params, given)
+        except (TypeError, ValueError) as error:
+            raise AssertionError(f"{node.name}: {mode}: {error}") from error
+        _require(out.dtype == dtype, f"{node.name}: {mode}: {out.dtype} comes of {jnp.dtype(dtype)}")
+
+    gives("half precision", jnp.bfloat16)
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        try:
+            subject.gradient.trace(params, image, weights, key)
+        except (TypeError, ValueError) as error:
+            raise AssertionError(f"{node.name}: without implicit promotion: {error}") from error
+        with jax.enable_x64(True):
+            # in float32: what is float64 by default then meets it, and is refused
+            gives("double precision enabled", jnp.float32)
 
 
 def _batch_agrees(subject: Subject) -> None:
@@ -288,6 +315,7 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "gradient_gives_the_value": _gradient_gives_the_value,
     "gradient_reaches_parameters": _gradient_reaches_parameters,
     "gradient_is_exact": _gradient_is_exact,
+    "numeric_modes": _numeric_modes,
     "batch_agrees": _batch_agrees,
     "plain_call_agrees": _plain_call_agrees,
     "no_retrace": _no_retrace,

@@ -78,9 +78,15 @@ def test_a_sharded_batch_has_the_bits_of_one_device(name, count, each):
     np.testing.assert_array_equal(again, wanted)
 
 
-@pytest.mark.parametrize(("name", "sizes"), [("phone", [1]), ("phone-any", [1]), ("phone-ahd", [1, 2])])
+SIZES = [("phone", [1]), ("phone-any", [1]), ("phone-ahd", [1, 2])]
+OTHERS = [(name, [1, 4]) for name in RECIPES if name not in dict(SIZES)]
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes"), [*SIZES, *[pytest.param(*other, marks=pytest.mark.slow) for other in OTHERS]]
+)
 def test_an_image_has_its_bits_in_a_batch_of_any_size(name, sizes):
-    """Photographs and noise, alone or in twos, as in a batch of sixteen."""
+    """Photographs and noise, alone or in small batches, as in a batch of sixteen."""
     recipe, key = RECIPES[name](), jax.random.key(0)
     noise = np.random.default_rng(0).uniform(size=(12, 64, 64, 3))
     photographs = [scene(n, 64) for n in scene_names()[:4]]

@@ -91,6 +91,21 @@ def half_precision(params: Amount, image: LinearRGB) -> LinearRGB:
     return (params.amount * image).astype(jnp.bfloat16)
 
 
+@documented("exact")
+def doubled(params: Amount, image: LinearRGB) -> LinearRGB:
+    return params.amount * image * np.sqrt(2)  # a float64, which is stronger than a Python number
+
+
+@documented("exact")
+def by_rank(params: Amount, image: LinearRGB) -> LinearRGB:
+    return params.amount * image * image.mean((0, 1))
+
+
+@documented("exact")
+def by_dtype(params: Amount, image: LinearRGB) -> LinearRGB:
+    return params.amount * image * (image > 0)
+
+
 @documented("sometimes")
 def vague(params: Amount, image: LinearRGB) -> LinearRGB:
     return params.amount * image
@@ -112,6 +127,9 @@ def test_a_sound_stage_passes_everything():
         (stopped, "gradient_is_exact", "differs from differences"),
         (mixed, "products_are_precise", "precision=HIGHEST"),
         (other_forward, "gradient_gives_the_value", "Not equal"),
+        (doubled, "numeric_modes", "double precision enabled: float64 comes of float32"),
+        (by_rank, "numeric_modes", "without implicit promotion: .*rank_promotion"),
+        (by_dtype, "numeric_modes", "without implicit promotion: .*bool"),
         (by_batch, "batch_agrees", "Not equal"),
         (by_concreteness, "plain_call_agrees", "Not equal"),
     ],
@@ -122,11 +140,37 @@ def test_each_check_can_fail(broken, check, why):
         check_stage(broken, only=[check])
 
 
+@pytest.mark.parametrize("dtype", [jnp.bfloat16, np.float16])
+def test_half_precision_is_computed_in_float32(dtype):
+    """A sum of 2000 ones is 256 in bfloat16, added one by one; rounded at the end it is right."""
+    image = jnp.linspace(0.1, 0.9, 21 * 34 * 3).reshape(21, 34, 3).astype(dtype)
+    params = {"gray_world": stage("gray_world").init()["gray_world"]}
+    out = stage("gray_world")(params, image)
+    exact = stage("gray_world")(params, image.astype(np.float32))
+    assert out.dtype == dtype
+    np.testing.assert_array_equal(out, exact.astype(dtype))
+
+
+def test_parameters_take_the_dtype_that_is_computed_in():
+    image = np.full((4, 6, 3), 0.5, np.float32)
+    with jax.enable_x64(True):
+        assert stage(sound)({"sound": Amount(amount=np.float64(0.3))}, image).dtype == np.float32
+        double = stage(sound)({"sound": Amount(amount=np.float32(0.5))}, image.astype(np.float64))
+    assert double.dtype == np.float64
+
+
 class Unchecked(Stage):
     """A stage that takes whatever it is given."""
 
     def apply(self, params, image, key):
         return image
+
+
+class Widening(Stage):
+    """A stage without the rule of dtypes."""
+
+    def apply(self, params, image, key):
+        return jnp.asarray(image, jnp.float32)
 
 
 class Growing(Subject):
@@ -141,6 +185,11 @@ def test_wrong_shapes_and_retraces_are_seen():
         check_stage(Unchecked(sound, "sound"), only=["wrong_shapes_are_refused"])
     with pytest.raises(AssertionError, match="traced again"):
         CHECKS["no_retrace"](Growing(Unchecked(sound, "sound")))
+
+
+def test_another_dtype_than_the_image_has_is_seen():
+    with pytest.raises(AssertionError, match="half precision: float32 comes of bfloat16"):
+        check_stage(Widening(sound, "sound"), only=["numeric_modes"])
 
 
 def test_unknown_names_are_refused():

@@ -227,8 +227,9 @@ def gaussian_taps(sigma: Any, radius: int) -> jax.Array:
         sigma: standard deviation in px.
         radius: where it is cut; at least 3 sigma for a faithful one.
     """
-    d2 = jnp.arange(-radius, radius + 1.0) ** 2
-    exponent = safe_divide(-0.5, jnp.asarray(sigma) ** 2)  # 0 for sigma 0, where only the delta is wanted
+    sigma = jnp.asarray(sigma, jnp.result_type(sigma, 0.0))
+    d2 = jnp.arange(-radius, radius + 1.0, dtype=sigma.dtype) ** 2
+    exponent = safe_divide(-0.5, sigma**2)  # 0 for sigma 0, where only the delta is wanted
     weights = jnp.where((d2 == 0) | (exponent < 0), jnp.exp(exponent * d2), 0.0)
     return weights / weights.sum()
 

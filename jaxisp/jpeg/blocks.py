@@ -159,11 +159,11 @@ def _by_lines(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) ->
     across = _down(_forward_1d, _planes(blocks), 1, 11)
     # bound to what is coded, or a loop over strips would have the steps of each block stored before it
     across, most = lax.optimization_barrier((across, jnp.int32(most)))
-    is_first = jnp.arange(count) < most
+    is_first = jnp.arange(count, dtype=jnp.int32) < most
 
     def quantizer(fn: Callable[[jax.Array, _Steps], jax.Array]) -> Callable[[jax.Array, int], jax.Array]:
         def of_line(scaled: jax.Array, line: int) -> jax.Array:
-            steps = (jnp.where(is_first, s[0, line, :, None], s[1, line, :, None]) for s in each)
+            steps = (jnp.where(is_first, s[0, line, :, None], s[1, line, :, None])[None] for s in each)
             return jax.jit(fn)(scaled.astype(dtype), _Steps(*steps))
 
         return of_line
@@ -258,7 +258,7 @@ def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int, dtype: An
 
 def _summed(matrix: np.ndarray, axis: int, x: jax.Array) -> jax.Array:
     """A matrix times an axis of 8, as a sum."""
-    weights = matrix.T.astype(x.dtype).reshape(8, 8, *[1] * (x.ndim - 1 - axis))
+    weights = matrix.T.astype(x.dtype).reshape(*[1] * axis, 8, 8, *[1] * (x.ndim - 1 - axis))
     return lax.reduce(jnp.expand_dims(x, axis + 1) * weights, np.zeros((), x.dtype), lax.add, (axis,))
 
 

@@ -92,7 +92,7 @@ def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
     total = _wider(_sums(plane[:, : whole * sx], step), last, columns - whole)
     if step != (1, 1):
         bias = np.arange(columns) % 2 + (1 if sy == 2 else 0)
-        hard = shifted(total + bias.astype(plane.dtype), sy * sx // 2)
+        hard = shifted(total + bias.astype(plane.dtype)[None], sy * sx // 2)
         total = straight_through(hard, total / (sy * sx))
     return _lower(total, -rows % 8)
 
@@ -126,7 +126,7 @@ def upsample(plane: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) ->
     total = linear_call(partial(_triangles, step), partial(_triangles_transposed, step), None, plane)
     (even, odd), bits = ((8, 7), 4) if sy == 2 else ((1, 2), 2)
     bias = np.where(np.arange(total.shape[1]) % 2, odd, even).astype(plane.dtype)
-    return straight_through(shifted(total + bias, bits), total / 2**bits)[: shape[0], : shape[1]]
+    return straight_through(shifted(total + bias[None], bits), total / 2**bits)[: shape[0], : shape[1]]
 
 
 def _triangles(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:

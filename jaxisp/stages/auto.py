@@ -32,9 +32,9 @@ def percentile(plane: jax.Array, q: jax.Array) -> jax.Array:
     still = jax.lax.stop_gradient(plane)
     low = _order_statistic(still, rank)
     above = jnp.min(jnp.where(still > low, still, jnp.inf))
-    high = jnp.where((jnp.sum(still <= low) > rank + 1) | jnp.isinf(above), low, above)
+    high = jnp.where((jnp.sum(still <= low, dtype=rank.dtype) > rank + 1) | jnp.isinf(above), low, above)
     low, high = (_with_gradient(v, plane) for v in (low, high))
-    return low + (position - rank) * (high - low)
+    return low + (position - rank.astype(position.dtype)) * (high - low)
 
 
 def _order_statistic(plane: jax.Array, rank: jax.Array) -> jax.Array:
@@ -63,7 +63,7 @@ def _order_statistic(plane: jax.Array, rank: jax.Array) -> jax.Array:
 def _with_gradient(value: jax.Array, plane: jax.Array) -> jax.Array:
     """A value that occurs in the plane, with the gradient of the pixels that have it, in equal shares."""
     equal = plane == value
-    return straight_through(value, jnp.sum(jnp.where(equal, plane, 0.0)) / jnp.sum(equal))
+    return straight_through(value, jnp.sum(jnp.where(equal, plane, 0.0)) / jnp.sum(equal).astype(plane.dtype))
 
 
 @parameters

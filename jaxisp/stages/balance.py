@@ -40,7 +40,7 @@ def white_balance(params: WhiteBalance, image: CameraRGB) -> CameraRGB:
 
     Source: von Kries 1902; Jaroensri et al. 2019, section 3.
     """
-    return image * params.gains.astype(image.dtype)
+    return image * params.gains.astype(image.dtype)[None, None]
 
 
 @register(reach=0, block=rows_of_cell)
@@ -107,7 +107,7 @@ def white_balance_temperature(params: WhiteBalanceTemperature, image: LinearRGB)
     """
     target = _bent_positive(illuminant_rgb(params.temperature, params.tint))
     source = _bent_positive(illuminant_rgb(params.source_temperature, params.source_tint))
-    return image * (target / source).astype(image.dtype)
+    return image * (target / source).astype(image.dtype)[None, None]
 
 
 def _bent_positive(x: jax.Array, knee: float = 0.01) -> jax.Array:

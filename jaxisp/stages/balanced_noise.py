@@ -43,6 +43,6 @@ def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa:
     masks = filters.masks((image.shape[0], image.shape[1]), cfa)
     red, blue = (g.astype(image.dtype) + 0 * image for g in (params.red_gain, params.blue_gain))
     gain = filters.select(masks, red, 1 + 0 * image, blue)
-    light = (image > 0) * image
+    light = (image > 0).astype(image.dtype) * image
     variance = gain * params.shot * light + (gain * params.read) ** 2
     return image + safe_sqrt(variance) * jax.random.normal(key, image.shape, image.dtype)

@@ -5,6 +5,7 @@ what bilinear interpolation draws of it, in closed form along lines. So it is an
 1, keeps the centre of mass of the shape and has an exact gradient.
 """
 
+import math
 from functools import reduce
 
 import jax
@@ -97,7 +98,7 @@ def _disc(disc_radius: jax.Array, radius: int) -> jax.Array:
     angle = (np.arange(_CHORDS) + 0.5) * (np.pi / _CHORDS) - np.pi / 2
     y, half = size * np.sin(angle).astype(dtype), size * np.cos(angle).astype(dtype)
     k = jnp.arange(-radius, radius + 1, dtype=dtype)[:, None]
-    along = (_tent_integral(half - k) - _tent_integral(-half - k)) / (2 * half)
+    along = (_tent_integral(half[None] - k) - _tent_integral(-half[None] - k)) / (2 * half)[None]
     share = (np.cos(angle) ** 2 * (2 / _CHORDS)).astype(dtype)
     psf = _normalized(_drawn(_tents(y, radius), along, jnp.asarray(share)))
     delta = _delta(radius, dtype)
@@ -173,11 +174,11 @@ def _path(lengths: jax.Array, angles: jax.Array, radius: int) -> jax.Array:
     # without a path its shape is undefined: a short one lends its slope, and the value is a delta
     lengths = lengths + jnp.where(moves, 0, 1e-3).astype(lengths.dtype)
     share = lengths / lengths.sum()
-    steps = lengths * jnp.stack([jnp.sin(angles), jnp.cos(angles)])
+    steps = lengths[None] * jnp.stack([jnp.sin(angles), jnp.cos(angles)])
     starts = jnp.cumsum(steps, axis=1) - steps
-    starts = starts - (share * (starts + steps / 2)).sum(axis=1, keepdims=True)
+    starts = starts - (share[None] * (starts + steps / 2)).sum(axis=1, keepdims=True)
     nodes, weights = _quadrature(starts, steps, radius)
-    y, x = (starts[..., None] + steps[..., None] * nodes).reshape(2, -1)
+    y, x = (starts[..., None] + steps[..., None] * nodes[None]).reshape(2, -1)
     drawn = _drawn(_tents(y, radius), _tents(x, radius), (share[:, None] * weights).ravel())
     psf = _normalized(drawn)
     return straight_through(jnp.where(moves, psf, _delta(radius, psf.dtype)), psf)
@@ -190,24 +191,27 @@ def _quadrature(starts: jax.Array, steps: jax.Array, radius: int) -> tuple[jax.A
     so is the gradient with the nodes held where they are.
     """
     lines = jnp.arange(-radius - 1, radius + 2, dtype=starts.dtype)
-    crossings = safe_divide(lines - starts[..., None], jnp.broadcast_to(steps[..., None], (*steps.shape, 1)))
+    crossings = safe_divide(
+        lines[None, None] - starts[..., None], jnp.broadcast_to(steps[..., None], (*steps.shape, 1))
+    )
     ends = jnp.broadcast_to(jnp.array([0, 1], starts.dtype), (steps.shape[1], 2))
     knots = jnp.sort(jnp.concatenate([*jnp.clip(crossings, 0, 1), ends], axis=1), axis=1)
     half = (knots[:, 1:] - knots[:, :-1]) / 2
     middle = (knots[:, 1:] + knots[:, :-1]) / 2
-    nodes = jnp.concatenate([middle - half / np.sqrt(3), middle + half / np.sqrt(3)], axis=1)
+    off = half / math.sqrt(3)  # NumPy's is a float64, which counts in double precision
+    nodes = jnp.concatenate([middle - off, middle + off], axis=1)
     return lax.stop_gradient((nodes, jnp.concatenate([half, half], axis=1)))
 
 
 def _tents(position: jax.Array, radius: int) -> jax.Array:
     """(2 radius + 1, N): the bilinear weight that each tap has in a point."""
     k = jnp.arange(-radius, radius + 1, dtype=position.dtype)
-    return jnp.maximum(1 - jnp.abs(position - k[:, None]), 0)
+    return jnp.maximum(1 - jnp.abs(position[None] - k[:, None]), 0)
 
 
 def _drawn(tents_y: jax.Array, tents_x: jax.Array, weights: jax.Array) -> jax.Array:
     """The weighted sum of outer products of columns."""
-    return jnp.matmul(tents_y * weights, tents_x.T, precision=lax.Precision.HIGHEST)
+    return jnp.matmul(tents_y * weights[None], tents_x.T, precision=lax.Precision.HIGHEST)
 
 
 def _normalized(psf: jax.Array) -> jax.Array:

@@ -45,7 +45,7 @@ def hot_pixels(params: HotPixels, image: Mosaic, *, key: jax.Array, sensor: int 
     Source: Jaroensri et al. 2019, section 3 (defects).
     """
     key = pattern_key(key, sensor, "hot_pixels")
-    v = jax.random.uniform(jax.random.fold_in(key, 1), image.shape)
+    v = jax.random.uniform(jax.random.fold_in(key, 1), image.shape, image.dtype)
     place = (v - params.dead) / jnp.maximum(1 - params.dead, 1e-6)
     high = jnp.maximum(params.level * (1 - params.spread * place), image)
     level = jnp.where(v < params.dead, 0, high)
@@ -84,7 +84,7 @@ def dead_pixels(params: DeadPixels, image: Mosaic, *, key: jax.Array, sensor: in
 
 
 def _stuck(image: jax.Array, key: jax.Array, density: jax.Array, level: jax.Array) -> jax.Array:
-    chosen = jax.random.uniform(key, image.shape) < density
+    chosen = jax.random.uniform(key, image.shape, image.dtype) < density
     moved = level.astype(image.dtype) - image
     exact = jnp.where(chosen, level.astype(image.dtype), image)
     # zero in value; its gradient to the density is that of the mean over all draws

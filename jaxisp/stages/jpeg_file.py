@@ -115,5 +115,5 @@ def _in_14_bits(x: jax.Array) -> jax.Array:
 def _light(curve: jax.Array, codes: jax.Array) -> jax.Array:
     """The curve at codes in 0..255, exact at whole ones; its slope is that of the line to the next node."""
     below = jnp.minimum(jnp.floor(2 * codes), 509).astype(jnp.int32)
-    share = 2 * codes - below
+    share = 2 * codes - below.astype(codes.dtype)
     return curve[below] * (1 - share) + curve[below + 1] * share

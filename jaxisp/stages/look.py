@@ -269,6 +269,6 @@ def _reflected_gaussian(n: int, variance: jax.Array, radius: int) -> jax.Array:
 
     total = jnp.zeros((n, n), dtype)
     for turn in range(-(radius // period) - 1, radius // period + 2):
-        image, mirrored = turn * period + place, turn * period - place
+        image, mirrored = (turn * period + place)[None], (turn * period - place)[None]
         total += weight(image - place[:, None]) + jnp.where(edge, 0, weight(mirrored - place[:, None]))
     return total / weight(jnp.arange(-radius, radius + 1, dtype=dtype)).sum()

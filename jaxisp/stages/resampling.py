@@ -185,8 +185,8 @@ def _there_and_back(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     at = jnp.arange(size, dtype=factor.dtype)
     exists = at * factor < size - 1e-3
     centre = (at + 0.5) * factor - 0.5
-    shrink = way.down(centre[:, None], at, factor, size)
-    enlarge = way.up((at[:, None] + 0.5) / factor - 0.5 - at) * exists
+    shrink = way.down(centre[:, None], at[None], factor, size)
+    enlarge = way.up((at[:, None] + 0.5) / factor - 0.5 - at[None]) * exists[None].astype(factor.dtype)
     # a sample that does not exist keeps a weight sum of 1, so that nothing is divided by a tiny number
     shrink = jnp.where(exists[:, None], shrink, 0) / jnp.where(exists, shrink.sum(1), 1)[:, None]
     enlarge = safe_divide(enlarge, enlarge.sum(1, keepdims=True))
@@ -200,15 +200,15 @@ def _blocks(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     """
     support, margin = _SUPPORT[way.enlarge], way.margin
     start = jnp.arange(0, size, _BLOCK, dtype=factor.dtype)[:, None]
-    i = start + jnp.arange(_BLOCK, dtype=factor.dtype)
-    k = start - margin + jnp.arange(_BLOCK + 2 * margin, dtype=factor.dtype)
+    i = start + jnp.arange(_BLOCK, dtype=factor.dtype)[None]
+    k = start - margin + jnp.arange(_BLOCK + 2 * margin, dtype=factor.dtype)[None]
     first = lax.stop_gradient(jnp.ceil((start + 0.5) / factor - 0.5 - support))
-    j = first + jnp.arange(_BLOCK + 2 * support, dtype=factor.dtype)
+    j = first + jnp.arange(_BLOCK + 2 * support, dtype=factor.dtype)[None]
     exists = (j >= 0) & (j * factor < size - 1e-3)
     inside = (k >= 0) & (k < size)
     centre = (j[..., None] + 0.5) * factor - 0.5
-    shrink = way.down(centre, k[:, None], factor, size) * inside[:, None]
-    enlarge = way.up((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None]
+    shrink = way.down(centre, k[:, None], factor, size) * inside[:, None].astype(factor.dtype)
+    enlarge = way.up((i[..., None] + 0.5) / factor - 0.5 - j[:, None]) * exists[:, None].astype(factor.dtype)
     # the last sample may stand nearly a step outside, with weights of 5e-4; less is no row that a block uses
     shrink = safe_divide(shrink, shrink.sum(2, keepdims=True), 1e-5)
     enlarge = safe_divide(enlarge, enlarge.sum(2, keepdims=True))

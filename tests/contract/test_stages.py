@@ -2,6 +2,7 @@
 
 import functools
 
+import jax
 import pytest
 
 from jaxisp.pipeline import stage
@@ -10,6 +11,13 @@ from jaxisp.testing import CHECKS, Subject
 
 # all checks of a stage one after another, on one worker: they share its programs
 subject = functools.cache(lambda name: Subject(stage(name)))
+
+
+@pytest.fixture(autouse=True)
+def no_implicit_promotion():
+    """All checks run so; `numeric_modes` then shares their traces."""
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        yield
 
 
 EACH = [

@@ -39,7 +39,7 @@ def _smooth_differences(passes: int, rgb: Planes) -> Planes:
         once = median(differences)
         change = once - median(once)
         more_green = 0.5 * (change[0] + change[1])
-        green, differences = materialize((green + more_green, once - more_green))
+        green, differences = materialize((green + more_green, once - more_green[None]))
     return green + differences[0], green, green + differences[1]
 
 

@@ -134,7 +134,7 @@ def _summed(u: jax.Array, mean: jax.Array) -> jax.Array:
     for k in range(1, 42):  # the quantile of 1 - 1e-6 for a mean of 16 is 39
         term = term * (mean / k)
         total = total + term
-        count = count + (u >= total)
+        count = count + (u >= total).astype(count.dtype)
     return count - mean
 
 

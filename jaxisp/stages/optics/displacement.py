@@ -227,7 +227,7 @@ def displaced(image: jax.Array, dy: jax.Array, dx: jax.Array) -> jax.Array:
     """Bilinear samples of (H, W, C) at each pixel's own place plus (dy, dx); borders are replicated."""
     h, w = image.shape[:2]
     y = jnp.clip(jnp.arange(h, dtype=dy.dtype)[:, None] + dy, 0, h - 1)
-    x = jnp.clip(jnp.arange(w, dtype=dx.dtype) + dx, 0, w - 1)
+    x = jnp.clip(jnp.arange(w, dtype=dx.dtype)[None] + dx, 0, w - 1)
     return _sampled(jnp.asarray(image), jnp.broadcast_to(y, (h, w)), jnp.broadcast_to(x, (h, w)))
 
 

@@ -165,4 +165,4 @@ def veiling_glare(params: VeilingGlare, image: LinearRGB) -> LinearRGB:
     """
     share = jnp.asarray(params.share, image.dtype)
     mean = image.mean(axis=0).mean(axis=0)  # in two steps, which rounds less on a large image
-    return image + share * (mean - image)
+    return image + share * (mean[None, None] - image)
