@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 
 def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:
-    """`sqrt(x**2 + epsilon**2) - epsilon`: quadratic near 0, `abs(x)` beyond `epsilon`, which must be positive.
+    """`sqrt(x**2 + epsilon**2) - epsilon`: quadratic near 0, `abs(x)` beyond `epsilon`, a positive number.
 
     Gradient: exact, bounded by 1.
 
