@@ -104,4 +104,4 @@ def test_contrast_that_is_lost_is_no_gain_once_the_tone_is_fixed(dataset, shown)
     assert row["psnr"] == pytest.approx(row["psnr_in"] - 20 * np.log10(0.9), abs=0.01)
     assert row["psnr_fixed"] < row["psnr_fixed_in"] - 3
     noise = read_image(dataset / "good.noisy.png") - np.clip(shown, 0, 1)
-    assert row["psnr_fixed_in"] == pytest.approx(-10 * np.log10((noise**2).mean()), abs=0.05)
+    assert row["psnr_fixed_in"] == pytest.approx(-10 * np.log10((noise**2).mean()), abs=0.1)
