@@ -86,7 +86,7 @@ def main() -> None:
     made = {name: made.get(name) or [row for row in kept if row["set"] == name] for name in SETS}
     table = {
         "title": "Classical denoisers, corrected: channels aligned, strengths chosen on other pictures",
-        "command": "python -m experiments.denoisers.classical DATA [--sets iphone8 --more]",
+        "command": "python -m experiments.denoisers.classical DATA` and then `--sets iphone8 --more",
         "machine": machine(),
         "left_out": [name for name in METHODS if Classical(name).missing()],
         "rows": [row for part in made.values() for row in part],

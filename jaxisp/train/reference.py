@@ -15,6 +15,7 @@ from jaxisp.fit.sampling import sample
 
 _BLOCK = 4  # px over which the tone is compared: less sharpness than the clean picture's is not contrast lost
 _BLOCKS = 10_000  # that are compared, at most
+_STRIP = 2**20  # px that are toned at once
 _SHAPES = 4  # of the curve
 _RIDGE = 1e-3  # holds what a picture without colour or contrast does not tell
 _MIDDLE = 512  # px of the longer side in which channels are compared
@@ -46,8 +47,9 @@ class Tone(NamedTuple):
     high: float
 
     def __call__(self, clean: np.ndarray) -> np.ndarray:
-        """(H, W, 3) linear light to encoded sRGB."""
-        return self.values_and_slopes(clean)[0]
+        """(H, W, 3) linear light to encoded sRGB, strip by strip: frames are large."""
+        strips = np.array_split(clean, -(-clean[..., 0].size // _STRIP))
+        return np.concatenate([self.values_and_slopes(strip)[0] for strip in strips if strip.size])
 
     def values_and_slopes(self, clean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Encoded values, and their derivative to `matrix @ [clean, 1]`; both (..., 3)."""
@@ -68,10 +70,10 @@ def fit_tone(clean: np.ndarray, noisy: np.ndarray) -> Tone:
         clean: (H, W, 3) linear light of any exposure, at least 4x4 px.
         noisy: (H, W, 3) encoded sRGB, aligned with it.
     """
-    x, y = _blocks(clean), _blocks(noisy).mean(axis=1)
+    x, shown = _blocks(clean), _blocks(noisy)
+    y = shown.mean(axis=1)
     limits = float(noisy.min()), float(noisy.max())
-    wanted = _decoded(noisy).mean(axis=(0, 1))
-    gain = wanted / np.maximum(clean.mean(axis=(0, 1)), 1e-6)
+    gain = _decoded(shown).mean(axis=(0, 1)) / np.maximum(x.mean(axis=(0, 1)), 1e-6)
     start = np.concatenate([np.hstack([np.diag(gain), np.zeros((3, 1))]).ravel(), np.zeros(_SHAPES)])
     scale = np.concatenate([np.repeat(np.maximum(np.abs(gain), 1e-6), 4), np.ones(_SHAPES)])
     hold = _RIDGE * np.sqrt(y.size) / scale
@@ -112,7 +114,7 @@ def channel_shifts(clean: np.ndarray, noisy: np.ndarray) -> tuple[np.ndarray, st
         (3, 2) shifts [px], (dy, dx) at which each channel is to be read, and how they were found: "channels",
         "refined" (the same for all three) or "whole" (zeros).
     """
-    clean, noisy = (_middle(np.asarray(image, np.float64)) for image in (clean, noisy))
+    clean, noisy = (_middle(image).astype(np.float64) for image in (clean, noisy))
     shifts, how = np.zeros((3, 2)), "whole"
     if min(noisy.shape[:2]) < 4 * _MARGIN:
         return shifts, how
