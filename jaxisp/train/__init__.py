@@ -1,6 +1,7 @@
 """Train denoisers on pairs degraded on the fly, apply them, and measure them."""
 
 from jaxisp.data.loader import degrader
+from jaxisp.train.classical import Classical, noise_level
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.denoiser import Denoiser, denoise_files, load_denoiser
 from jaxisp.train.devices import make_mesh, replicate, spread
@@ -12,6 +13,7 @@ from jaxisp.train.trainer import TrainResult, train
 __all__ = [
     "LOSSES",
     "AlignedPair",
+    "Classical",
     "Denoiser",
     "State",
     "TrainConfig",
@@ -26,6 +28,7 @@ __all__ = [
     "make_mesh",
     "make_optimizer",
     "make_step",
+    "noise_level",
     "replicate",
     "schedule",
     "spread",
