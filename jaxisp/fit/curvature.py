@@ -10,7 +10,6 @@ from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import Equations, State
 from jaxisp.params import specs
 
-PATCH = 10.0  # px whose residuals are about as good as one independent one
 PRIOR = 4.0  # standard deviation on the real line of what the data do not see
 LEAST = 0.1  # what the error of a number on a linear scale is relative to at least
 KNOWN = 0.025  # relative standard error up to which a parameter counts as identified: 5 % at two of them
@@ -37,11 +36,11 @@ class Identified:
 def standard_errors(fit: Fit, state: State, at: Equations) -> list[Identified]:
     """The camera's parameters with their relative standard errors, correlations included.
 
-    The covariance is the inverse of `J^T W J` over the variance of the residual, of which PATCH pixels
+    The covariance is the inverse of `J^T W J` over the variance of the residual, of which `fit.patch` pixels
     count as one, for its neighbours resemble each other; all other parameters and the geometry vary with it.
     """
     columns = len(state.camera)
-    variance = max(at.loss / max(at.weight, 1), 1e-9) / 2 * PATCH
+    variance = max(at.loss / max(at.weight, 1), 1e-9) / 2 * fit.patch
     precision = at.data / variance + np.eye(len(at.data)) / PRIOR**2
     spread = np.sqrt(np.maximum(np.linalg.inv(precision).diagonal(), 0))[:columns]
     layout = fit.problem.layout
