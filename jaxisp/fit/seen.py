@@ -19,8 +19,8 @@ HUES = ("red", "orange", "yellow", "yellow-green", "green", "blue-green",
 COLOURED = 0.15  # least chroma, of the largest channel, that has a hue: camera RGB is paler than sRGB
 FEWEST = 2e-3  # share of the blocks that a hue must have to count as seen
 ENDS = 0.5  # percent of the blocks on either side that do not count as seen tones
-BEYOND = 0.5  # EV that a tone may be beyond those seen
-SHOWS = 0.02  # share of a picture's blocks with other tones or hues that is told
+BEYOND = 1.0  # EV that a tone may be beyond those seen
+SHOWS = 0.05  # share of a picture's blocks with other tones or hues that is told
 DARKEST = 2.0**-8  # level below which tones are alike, and hues are noise
 
 

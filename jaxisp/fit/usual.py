@@ -44,7 +44,7 @@ CURVE_REST = 0.0185  # variance of what the directions leave
 STEEPEST = 1e-2  # smallest slope that is told from none
 
 LOOK = 0.1  # standard deviation of what a look adds to each entry of the matrix
-CAST = 0.2  # of the logarithm of a row's sum: what a camera leaves of the light's colour
+CAST = 0.05  # of the logarithm of a row's sum: the stated balance is the one that the camera applied
 BRIGHTNESS = 0.7  # of the logarithm of the mean of the rows: an EV from the start
 SATURATION = 0.3  # of its logarithm
 SHADING = 0.5  # of each coefficient of the vignetting [EV]
