@@ -92,12 +92,13 @@ def _measured(
     example = turned(example, shot)
     target = example.picture
     tiles = split(target, shot.alignment, example.raw.mosaic.shape, shot.lens).held_out
-    where = np.zeros_like(tiles)
+    shown, where = np.zeros_like(tiles), np.zeros_like(tiles)
+    shown[:, max(columns.start - BORDER, 0) : columns.stop + BORDER] = True  # SSIM looks around each pixel
     where[:, columns] = tiles[:, columns]
     if not where.any():
         raise _Nothing
     image = np.mean(found.state.images, axis=0)
     vector = np.concatenate([found.state.camera, image, outcome.state.places[pair]]).astype(np.float32)
     fit = found.fit.beside(outcome.fit)
-    done = render(fit, vector, pair, shot, example, where=where)
+    done = render(fit, vector, pair, shot, example, where=shown)
     return masked_psnr(done, target, where), float(similarity(done, target)[where].mean())

@@ -81,7 +81,8 @@ class Fit:
         # minus two log posteriors are loss / (patch variance) + deviations**2, and the variance of a residual
         # is half a pixel's mean loss (luma, and Cb and Cr at a half); this is in units of the mean loss
         self.patch = patch
-        self._share = patch / (2 * sum(float(np.sum(c.mask)) for v in views for c in v.chunks))
+        pixels = sum(float(np.sum(chunk.mask)) for view in views for chunk in view.chunks)
+        self._share = patch / (2 * max(pixels, 1))
         self._origin = as_arrays(problem.layout.params(fixed, start.camera, start.images[0]))
         self.scale = 1.0
         self.scale = max(self.loss(now or start), 1e-7)
