@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.fit.sharing import CAMERA, IMAGE
-from jaxisp.fit.solve import Fit
+from jaxisp.fit.solve import PATCH, Fit
 from jaxisp.fit.state import Equations, State
 from jaxisp.params import specs
 
@@ -36,11 +36,11 @@ class Identified:
 def standard_errors(fit: Fit, state: State, at: Equations) -> list[Identified]:
     """The camera's parameters with their relative standard errors, correlations included.
 
-    The covariance is the inverse of `J^T W J` over the variance of the residual, of which `fit.patch` pixels
+    The covariance is the inverse of `J^T W J` over the variance of the residual, of which PATCH pixels
     count as one, for its neighbours resemble each other; all other parameters and the geometry vary with it.
     """
     columns = len(state.camera)
-    variance = max(at.loss / max(at.weight, 1), 1e-9) / 2 * fit.patch
+    variance = max(at.loss / max(at.weight, 1), 1e-9) / 2 * PATCH
     precision = at.data / variance + np.eye(len(at.data)) / PRIOR**2
     spread = np.sqrt(np.maximum(np.linalg.inv(precision).diagonal(), 0))[:columns]
     layout = fit.problem.layout

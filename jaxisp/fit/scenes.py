@@ -93,7 +93,8 @@ def _measured(
     target = example.picture
     tiles = split(target, shot.alignment, example.raw.mosaic.shape, shot.lens).held_out
     shown, where = np.zeros_like(tiles), np.zeros_like(tiles)
-    shown[:, max(columns.start - BORDER, 0) : columns.stop + BORDER] = True  # SSIM looks around each pixel
+    first, last, _ = columns.indices(target.shape[1])
+    shown[:, max(first - BORDER, 0) : last + BORDER] = True  # SSIM looks around each pixel
     where[:, columns] = tiles[:, columns]
     if not where.any():
         raise _Nothing
