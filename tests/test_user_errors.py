@@ -24,7 +24,7 @@ KEY = jax.random.key(0)
 IMAGES = np.stack([smooth_image((16, 18, 3), i) for i in range(2)]).astype(np.float32)
 
 OPTIONS = [
-    ("mosaic", {"cfa": "RGBG"}, "option cfa must be one of 'RGGB', 'BGGR', 'GRBG', 'GBRG', got 'RGBG'"),
+    ("mosaic", {"cfa": "RGBG"}, "option cfa must be one of RGGB, BGGR, GRBG, GBRG, or X-Trans"),
     ("demosaic_hibbard", {"cfa": 3}, "option cfa must be str, got 3"),
     ("bilateral", {"chroma_cell": 3}, "option chroma_cell must be even, got 3"),
     ("bilateral", {"radius": 0}, "option radius must be 1 or more, got 0"),

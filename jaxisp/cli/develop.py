@@ -26,6 +26,7 @@ def run(arguments: Namespace) -> int:
     from jaxisp.camera import develop
     from jaxisp.cfa import is_xtrans
     from jaxisp.errors import InputError
+    from jaxisp.fit.seen import unseen
     from jaxisp.io import read_raw, write_png
     from jaxisp.io.files import check_output, real_paths
     from jaxisp.recipe import Recipe, check_traces
@@ -37,14 +38,15 @@ def run(arguments: Namespace) -> int:
     if camera:
         check_traces(camera)
     raw = read_raw(arguments.raw, quad="remosaic" if arguments.remosaic else "bin")
-    for note in raw.notes:
+    notes = [*raw.notes, *unseen(raw, camera)]
+    for note in notes:
         warn(f"{raw.path}: {note}")
     picture = develop(raw, camera, jax.random.key(arguments.seed))
     write_png(arguments.out, picture)
     height, width = picture.shape[:2]
     if arguments.json:
         size = {"width": width, "height": height}
-        print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": list(raw.notes)})
+        print_json({"image": arguments.out, **size, "cfa": raw.cfa, "notes": notes})
     else:
         kind = "X-Trans" if is_xtrans(raw.cfa) else raw.cfa
         say(f"{arguments.out}: {width} x {height}, {kind}")

@@ -40,6 +40,13 @@ def add_commands(commands: Any) -> None:
         "--starts", type=positive, default=1, help="starting points; the best fit is kept (default 1)"
     )
     command.add_argument(
+        "--hold-out",
+        choices=("tiles", "scenes"),
+        default="tiles",
+        help="report tiles of the pairs, or also whole pairs (halves of the only one), which "
+        "takes further fits (default tiles)",
+    )
+    command.add_argument(
         "--per-image",
         type=names,
         default=[],
@@ -113,6 +120,7 @@ def _fitted(arguments: Namespace) -> Any:
             demosaic=arguments.demosaic,
             median=arguments.median,
             starts=arguments.starts,
+            hold_out=arguments.hold_out,
             per_image=arguments.per_image,
             journal=beside(arguments.out),
             mesh=_mesh(bool(arguments.cpu_devices)),
@@ -132,6 +140,10 @@ def _mesh(wanted: bool) -> Any:
 
 
 def _print(result: Any, out: str) -> None:
+    if result.scenes:
+        own = zip(result.scenes.names, result.scenes.psnr, result.scenes.ssim)
+        print_table(("scene held out", "PSNR", "SSIM"), [(n, f"{p:.2f}", f"{s:.4f}") for n, p, s in own])
+        say(f"{result.scenes.how}")
     rows = [
         (p.name, f"{p.psnr:.2f}", f"{p.ssim:.4f}", f"{p.held_out_psnr:.2f}", f"{p.held_out_ssim:.4f}",
          f"{p.shift[0]:+.2f} {p.shift[1]:+.2f}")

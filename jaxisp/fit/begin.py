@@ -9,11 +9,13 @@ from jaxisp.fit import model
 from jaxisp.fit.lens import STRAIGHT, Lens
 from jaxisp.fit.state import View
 from jaxisp.fit.tiles import HALO, Chunk
+from jaxisp.fit.usual import usual_matrix
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.optics import Exposure, GeometricDistortion
 from jaxisp.stages.transfer import srgb_eotf
 
+SPREAD = 0.3  # standard deviation of a matrix's entries
 _BLOCK = 8
 _NOTHING = 1e-9
 
@@ -23,12 +25,24 @@ def begin(views: Sequence[View], lens: Lens = STRAIGHT) -> Params:
     pixels = [_block_means(view, chunk, lens) for view in views for chunk in view.chunks]
     source, wanted = (np.concatenate(parts) for parts in zip(*pixels))
     gain = float(np.clip(wanted.sum() / max(source.sum(), _NOTHING), 2.0**-6, 2.0**6))
-    matrix = np.linalg.lstsq(gain * source, wanted, rcond=None)[0].T
+    matrix = _near_usual(gain * source, wanted)
     return model.start() | {
         "exposure": Exposure(exposure_ev=np.float32(np.log2(gain))),
         "color_matrix": ColorMatrix(matrix=np.clip(matrix, -3.9, 3.9).astype(np.float32)),
         "geometric_distortion": GeometricDistortion(k1=np.float32(lens.k1)),
     }
+
+
+def _near_usual(source: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Least squares, held near real cameras' matrix by as much as that one leaves: a scene may lack hues."""
+    usual = usual_matrix()
+    scaled = source @ usual.T
+    gains = (scaled * wanted).sum(0) / np.maximum((scaled**2).sum(0), _NOTHING)
+    usual *= np.maximum(gains, _NOTHING)[:, None]
+    left = wanted - source @ usual.T
+    ridge = (left**2).mean() / SPREAD**2
+    square = source.T @ source + ridge * np.eye(3)
+    return usual + np.linalg.solve(square, source.T @ left).T
 
 
 def _block_means(view: View, chunk: Chunk, lens: Lens) -> tuple[np.ndarray, np.ndarray]:

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from jaxisp.fit.sharing import CAMERA, IMAGE
-from jaxisp.fit.solve import Fit
+from jaxisp.fit.solve import PATCH, Fit
 from jaxisp.fit.state import Equations, State
 from jaxisp.params import specs
 
-PATCH = 10.0  # px whose residuals are about as good as one independent one
 PRIOR = 4.0  # standard deviation on the real line of what the data do not see
 LEAST = 0.1  # what the error of a number on a linear scale is relative to at least
 KNOWN = 0.025  # relative standard error up to which a parameter counts as identified: 5 % at two of them

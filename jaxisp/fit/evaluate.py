@@ -25,8 +25,8 @@ FEWEST_DB = 22.0  # held out
 
 def evaluate(fit: Fit, state: State, pair: int, shot: Shot, example: Example) -> PairResult:
     """Render a pair, its file's JPEG tables included, and measure its fitted and its held-out tiles."""
-    target = np.ascontiguousarray(orient(example.picture, shot.orientation))
-    example = dataclasses.replace(example, picture=target)
+    example = turned(example, shot)
+    target = example.picture
     masks = split(target, shot.alignment, example.raw.mosaic.shape, shot.lens)
     vector, place = fit.vector(state, pair), state.places[pair]
     done = render(fit, vector, pair, shot, example)
@@ -37,27 +37,35 @@ def evaluate(fit: Fit, state: State, pair: int, shot: Shot, example: Example) ->
     _middle(shown, copy=False)[:] = True
     result = PairResult(
         shot.name,
-        _psnr(done, target, masks.fitted),
+        masked_psnr(done, target, masks.fitted),
         float(similar[masks.fitted].mean()),
-        _psnr(done, target, masks.held_out),
+        masked_psnr(done, target, masks.held_out),
         float(similar[masks.held_out].mean()),
         (-float(shift[0]), -float(shift[1])),
         _middle(render(fit, fit.vector(fit.start, pair), pair, shot, example, where=shown)),
         _middle(done),
         _middle(target),
         _noise(done, target, masks.held_out),
-        _psnr(render(fit, vector, pair, shot, example, whole, masks.held_out), target, masks.held_out),
+        masked_psnr(render(fit, vector, pair, shot, example, whole, masks.held_out), target, masks.held_out),
         notes=shot.notes,
     )
     return dataclasses.replace(result, flags=_flags(result, done, target, masks))
 
 
-def _psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
-    return float(_masked_psnr(a, b, mask))
+def turned(example: Example, shot: Shot) -> Example:
+    """The pair as the alignment turned it."""
+    return dataclasses.replace(
+        example, picture=np.ascontiguousarray(orient(example.picture, shot.orientation))
+    )
+
+
+def masked_psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
+    """Of the pixels of a mask [dB]."""
+    return float(_psnr(a, b, mask))
 
 
 @jax.jit
-def _masked_psnr(a: jax.Array, b: jax.Array, mask: jax.Array) -> jax.Array:
+def _psnr(a: jax.Array, b: jax.Array, mask: jax.Array) -> jax.Array:
     return psnr(a, b, mask=mask)
 
 

@@ -25,7 +25,9 @@ from jaxisp.fit.lens import Lens
 from jaxisp.fit.pair import FROM_FILE, Example
 from jaxisp.fit.raw_noise import RawNoise
 from jaxisp.fit.result import FitResult, PairResult
+from jaxisp.fit.scenes import held_out
 from jaxisp.fit.search import Options, Outcome, Search, Tick
+from jaxisp.fit.seen import Seen, block_means
 from jaxisp.fit.sharing import FIXED, IMAGE, Layout, canonical, mean_of, sharing
 from jaxisp.fit.spread import agree, ahead, compile_for
 from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
@@ -35,6 +37,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages import STAGES
 
 STEPS = 30
+HOLD_OUT = ("tiles", "scenes")
 _MOST_TILES = 32  # of one pair
 _MOST_CHUNKS = 24  # of all pairs together; each pair has at least one
 
@@ -52,6 +55,7 @@ def fit_examples(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     starts: int = 1,
+    hold_out: str = HOLD_OUT[0],
     journal: str | Path | None = None,
     mesh: Mesh | None = None,
     tick: Tick = lambda done, total, text: None,
@@ -70,6 +74,8 @@ def fit_examples(
         fixed: parameters that stay where they start, named likewise, beside those of `FIXED_NAMES`.
         free: those of `FIXED_NAMES` that are fitted all the same.
         starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
+        hold_out: "tiles" reports those that were not fitted; "scenes" also fits the camera again without
+            each pair in turn, or without each half of the only one, and reports that; see `scenes`.
         journal: a file for what is done, from which a stopped fit goes on. It stays, so that a result that
             cannot be saved is not lost: the caller deletes it then. One process at a time; of several that
             fit together all read it and the first writes it.
@@ -88,12 +94,19 @@ def fit_examples(
     names = tuple(per_image), tuple(fixed), tuple(free)
     options = Options(steps, demosaic, median, place, *names, starts)
     _check(options)
+    if hold_out not in HOLD_OUT:
+        raise InputError(f"{hold_out!r} cannot be held out; there are {', '.join(HOLD_OUT)}")
     with alone(journal if jax.process_index() == 0 else None):
-        return _fitted(examples, options, journal, tick, mesh)
+        return _fitted(examples, options, journal, tick, mesh, hold_out == "scenes")
 
 
 def _fitted(
-    examples: Sequence[Given], options: Options, journal: str | Path | None, tick: Tick, mesh: Mesh | None
+    examples: Sequence[Given],
+    options: Options,
+    journal: str | Path | None,
+    tick: Tick,
+    mesh: Mesh | None,
+    scenes: bool,
 ) -> FitResult:
     clock = time.perf_counter()
     shots, failed, begun = _prepared(examples, options, tick, mesh)
@@ -114,7 +127,14 @@ def _fitted(
         search = Search([s for _, s in shots], options, Journal.open(None, ""), tick, mesh)
         outcome = search.finish(outcome.design, _without(outcome, bad), "without flagged pairs")
         pairs = _measured(outcome, shots)
-    return _result(outcome, [s for _, s in shots], pairs, time.perf_counter() - clock, failed, book.resumed)
+    kept = [s for _, s in shots]
+    found = held_out(outcome, search, kept, lambda i: _loaded(shots[i][0])) if scenes else None
+    result = _result(outcome, kept, pairs, failed, book.resumed)
+    return dataclasses.replace(result, scenes=found, seconds=time.perf_counter() - clock)
+
+
+def _loaded(given: Given) -> Example:
+    return given() if callable(given) else given
 
 
 def _check(options: Options) -> None:
@@ -151,7 +171,7 @@ def _prepared(
         tick(0, 1, f"aligning {index + 1} of {len(examples)}")
         name = getattr(example, "name", f"pair {index + 1}")
         try:
-            loaded = example() if callable(example) else example
+            loaded = _loaded(example)
             name = loaded.name
             shots.append((example, prepare(loaded, most)))
             begun = begun or _ahead(options, shots[0][1], mesh)
@@ -170,8 +190,7 @@ def _contents(shots: Sequence[Shot]) -> list[Any]:
 def _measured(outcome: Outcome, shots: Sequence[tuple[Given, Shot]]) -> list[PairResult]:
     pairs = []
     for i, (example, shot) in enumerate(shots):
-        loaded = example() if callable(example) else example
-        pairs.append(evaluate(outcome.fit, outcome.state, i, shot, loaded))
+        pairs.append(evaluate(outcome.fit, outcome.state, i, shot, _loaded(example)))
     return pairs
 
 
@@ -198,7 +217,6 @@ def _result(
     outcome: Outcome,
     shots: Sequence[Shot],
     pairs: list[PairResult],
-    seconds: float,
     failed: list[tuple[str, str]],
     resumed: bool,
 ) -> FitResult:
@@ -222,7 +240,7 @@ def _result(
         pairs,
         np.asarray([value for _, value in outcome.losses]),
         tuple(name for name, _ in outcome.losses),
-        seconds,
+        float("nan"),
         HOW,
         failed,
         outcome.design.text,
@@ -254,11 +272,19 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
         "held_out": HOW,
         "design": outcome.design.text,
         "not_identified": unknown,
+        "seen": _seen(shots).as_dict(),
     }
     noise = [s.sensor_noise for s in shots if s.sensor_noise is not None]
     if noise:
         meta["raw_noise"] = {name: [getattr(n, name) for n in noise] for name in RawNoise._fields}
     return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
+
+
+def _seen(shots: Sequence[Shot]) -> Seen:
+    """Of the tiles that are fitted."""
+    parts = [(chunk, shot.cfa) for shot in shots for chunk in shot.chunks]
+    fitted = [np.asarray(chunk.source)[np.asarray(chunk.mask).any(axis=(1, 2))] for chunk, _ in parts]
+    return Seen.of(np.concatenate([block_means(tiles, cfa) for tiles, (_, cfa) in zip(fitted, parts)]))
 
 
 def _at_bound(camera: Recipe, layout: Layout) -> list[str]:

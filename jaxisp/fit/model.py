@@ -103,15 +103,14 @@ def around_median(place: str) -> tuple[Chain, Chain]:
 
 def back(place: str) -> Chain:
     """What follows denoising: colour where it is not in front, tone, saturation, sharpening."""
-    tone = (
-        stage("gamma_compression"),
-        stage("s_curve"),
-        stage("zone_curve", on="channels"),
-        stage("saturation"),
-        stage("unsharp_mask", radius=6),
-        stage(SAMPLING),
-    )
-    return Chain((*(() if place == "encoded" else _color()), *tone), "back")
+    look = stage("saturation"), stage("unsharp_mask", radius=6), stage(SAMPLING)
+    return Chain((*(() if place == "encoded" else _color()), *tone().nodes, *look), "back")
+
+
+def tone() -> Chain:
+    """The curve on encoded channels, which three stages share."""
+    curve = stage("gamma_compression"), stage("s_curve"), stage("zone_curve", on="channels")
+    return Chain(curve, "tone")
 
 
 def _bilateral() -> Stage:

@@ -45,6 +45,11 @@ def doubts(result: FitResult) -> str:
 
 def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
     """Add the figures of all pairs, and the pictures of the first few, to a page."""
+    if result.scenes:
+        page.heading("Held out by scene", f"{result.scenes.how.capitalize()}.")
+        own = zip(result.scenes.names, result.scenes.psnr, result.scenes.ssim)
+        rows = [(name, f"{psnr:.2f}", f"{ssim:.4f}") for name, psnr, ssim in own]
+        page.table(("pair", "PSNR [dB]", "SSIM"), rows)
     page.heading("The fit, before and after", f"Held out: {result.how}.")
     _add_pairs(page, result, most)
     said = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]

@@ -55,6 +55,32 @@ class PairResult:
 
 
 @dataclasses.dataclass(frozen=True)
+class Scenes:
+    """Figures of pairs on cameras that were fitted without them.
+
+    Args:
+        names: of the pairs.
+        psnr, ssim: a figure each.
+        how: what was left out.
+    """
+
+    names: tuple[str, ...]
+    psnr: tuple[float, ...]
+    ssim: tuple[float, ...]
+    how: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """The means, and each pair's."""
+        each = zip(self.names, self.psnr, self.ssim)
+        return {
+            "psnr": float(np.mean(self.psnr)),
+            "ssim": float(np.mean(self.ssim)),
+            "how": self.how,
+            "pairs": [{"name": name, "psnr": psnr, "ssim": ssim} for name, psnr, ssim in each],
+        }
+
+
+@dataclasses.dataclass(frozen=True)
 class FitResult:
     """A fitted camera, how well it does, and the loss at each step.
 
@@ -69,6 +95,7 @@ class FitResult:
             there is none.
         per_image: by pair, the parameters that each image has of its own, by stage and field.
         failed: pairs that could not be used, with the reason.
+        scenes: figures on other scenes than those fitted, where they were measured.
     """
 
     camera: Recipe
@@ -85,6 +112,7 @@ class FitResult:
     per_image: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     resumed: bool = False
     lens_px: dict[str, float] = dataclasses.field(default_factory=dict)
+    scenes: Scenes | None = None
 
     @property
     def unidentified(self) -> list[str]:
@@ -93,13 +121,15 @@ class FitResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The figures, as `jaxisp fit --json` prints them."""
+        tiles = {
+            "psnr": float(np.mean([p.held_out_psnr for p in self.pairs])),
+            "ssim": float(np.mean([p.held_out_ssim for p in self.pairs])),
+            "how": self.how,
+        }
         return {
             "pairs": [p.as_dict() for p in self.pairs],
-            "held_out": {
-                "psnr": float(np.mean([p.held_out_psnr for p in self.pairs])),
-                "ssim": float(np.mean([p.held_out_ssim for p in self.pairs])),
-                "how": self.how,
-            },
+            "held_out": self.scenes.as_dict() if self.scenes else tiles,
+            "held_out_tiles": tiles,
             "seconds": round(self.seconds, 2),
             "design": self.design,
             "tried": [{"design": text, "objective": value} for text, value in self.tried],

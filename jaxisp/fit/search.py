@@ -1,5 +1,6 @@
 """The discrete choices, one after another, with one compiled program; and the phases of a fit."""
 
+import copy
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -14,7 +15,7 @@ from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
-from jaxisp.fit.solve import Fit
+from jaxisp.fit.solve import Fit, patch_at
 from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
@@ -126,16 +127,34 @@ class Search:
     ):
         self.shots, self.options, self.journal, self.tick = tuple(shots), options, journal, tick
         self.mesh = mesh
+        self.stated = all(shot.jpeg is not None for shot in self.shots)
+        self.problem = options.problem(self.shots[0].jpeg if self.stated else None)
+        self._total = self._planned()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Where these shots start from."""
         self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
-        self.stated = all(shot.jpeg is not None for shot in self.shots)
-        self.problem = options.problem(self.shots[0].jpeg if self.stated else None)
-        self.start = begin(self.views(options.first), self._stated_lens())
+        self._done = 0
+        self.start = begin(self.views(self.options.first), self._stated_lens())
         if self.stated:
             self.start |= model.sampled(self.shots[0].jpeg)
         self.origin = self._origin(self.start)
-        self._done, self._total = 0, self._planned()
+
+    def of(self, shots: Sequence[Shot]) -> "Search":
+        """The same problem, compiled as it is, on other shots."""
+        other = copy.copy(self)
+        other.shots = tuple(shots)
+        other._begin()
+        return other
+
+    def settled(self, design: model.Design, name: str) -> Outcome:
+        """The main phases with choices that are made, from a start of its own."""
+        fit = self._fit(design)
+        state = self._run(f"{name} first", fit, self.origin, min(self.options.steps, FIRST_STEPS))
+        return self.finish(design, state, name)
 
     def views(self, design: model.Design) -> tuple[View, ...]:
         """The tiles with the design's demosaicking; those of the last few designs are kept."""
@@ -211,10 +230,12 @@ class Search:
         Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
+        before = self._fit(design, whole=True, now=state)
+        patch = patch_at(before.equations(state))
         for turn in (1, 2):
             if design.lens and not self._bends(now):
                 design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
-            fit = self._fit(design, whole=True, now=state, statistics=weight)
+            fit = self._fit(design, whole=True, now=state, statistics=weight, patch=patch)
             now = self._run(f"{name} {turn}", fit, _again(now), steps)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS

@@ -15,12 +15,15 @@ from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.spread import Call, each
 from jaxisp.fit.state import Equations, Place, State, View
 from jaxisp.fit.tiles import Chunk
+from jaxisp.fit.usual import linearised
 from jaxisp.pipeline import Params
 
-HOLD = 1e-5  # what a parameter one unit from its start counts: keeps what is unidentifiable where it was
+PATCH = 10.0  # px whose residuals are about as good as one independent one, at the least
+HOLD = 1e-5  # what a parameter one unit from its start counts: keeps what shows in nothing where it was
 HOLD_ZONES = 1e-3  # of the zones of the tone curve, so that gamma and s-curve explain what they can
 HOLD_PLACE = 1e-2  # of the geometry, from what the alignment found
 HOLD_BENT = 1e-4  # of the scale under a lens: what the alignment found holds part of the distortion
+FEWEST_CHUNKS = 3  # whose scores tell how they vary
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
 CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
@@ -42,6 +45,8 @@ class Fit:
         now: whose mean loss counts as 1; the start's unless given.
         statistics: what one noise statistic a tolerance off counts against that loss. It is 0 until tone
             and colour are right: before, the noise would be matched by bending them.
+        patch: px whose residuals are about as good as one independent one; see `patch_at`. It says how
+            much the pixels count against what is known of real cameras.
         mesh: devices that the chunks are spread over; see `spread.each`.
     """
 
@@ -55,6 +60,7 @@ class Fit:
         *,
         now: State | None = None,
         statistics: float = 0.0,
+        patch: float = PATCH,
         mesh: Mesh | None = None,
     ):
         self.statistics, self.encodes = statistics, True
@@ -72,6 +78,12 @@ class Fit:
         holds = [[HOLD_ZONES if s == "zone_curve" else HOLD for s in names] for names in stages]
         place = [HOLD_PLACE] * 2 + [HOLD_BENT if design.lens else HOLD_PLACE] * 2
         self._hold = np.concatenate([holds[0], *[holds[1]] * len(views), *[place] * len(views)])
+        # minus two log posteriors are loss / (patch variance) + deviations**2, and the variance of a residual
+        # is half a pixel's mean loss (luma, and Cb and Cr at a half); this is in units of the mean loss
+        self.patch = patch
+        pixels = sum(float(np.sum(chunk.mask)) for view in views for chunk in view.chunks)
+        self._share = patch / (2 * max(pixels, 1))
+        self._origin = as_arrays(problem.layout.params(fixed, start.camera, start.images[0]))
         self.scale = 1.0
         self.scale = max(self.loss(now or start), 1e-7)
 
@@ -113,6 +125,12 @@ class Fit:
         other.fixed = self.fixed | as_arrays(model.sampled(None))
         return other
 
+    def beside(self, other: "Fit") -> "Fit":
+        """The same camera on the pairs of another fit."""
+        moved = copy.copy(self)
+        moved.views = other.views
+        return moved
+
     def without_encoder(self) -> "Fit":
         """The same, compared before the encoder."""
         other = copy.copy(self)
@@ -146,8 +164,22 @@ class Fit:
         place = cameras + images * len(self.views) + len(GEOMETRY) * pair + np.arange(len(GEOMETRY))
         return np.concatenate([np.arange(cameras), own, place])
 
-    def _deviation(self, state: State) -> np.ndarray:
-        return _flat(state) - _flat(self.start)
+    def _pull(self, state: State) -> tuple[float, np.ndarray, np.ndarray]:
+        """What deviations from the start and from real cameras count, with gradient and curvature."""
+        deviation = _flat(state) - _flat(self.start)
+        value, vector = float(self._hold @ deviation**2), self._hold * deviation
+        matrix, cameras = np.diag(self._hold), len(state.camera)
+        layout, start = self.problem.layout, self._origin
+        pairs = len(self.views) if len(state.images[0]) else 1
+        for i in range(pairs):
+            index = self._index(i)[: cameras + len(state.images[i])]
+            found = linearised(layout, self.fixed, start, state.camera, state.images[i])
+            rows, jacobian = (np.asarray(part, np.float64) for part in found)
+            share = self._share / pairs
+            value += share * float(rows @ rows)
+            vector[index] += share * (jacobian.T @ rows)
+            matrix[np.ix_(index, index)] += share * (jacobian.T @ jacobian)
+        return value, vector, matrix
 
     def _at(self, state: State, near: "Equations | None" = None) -> "Place":
         """The objective at a state, and its gradient with the Jacobians of a place nearby."""
@@ -159,9 +191,9 @@ class Fit:
             vector[self._index(i)] += np.asarray(part.chord)
         rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
-        deviation = self._deviation(state)
-        objective = total / weight / self.scale + self.statistics * misfit + self._hold @ deviation**2
-        gradient = vector / (weight * self.scale) + self._hold * deviation
+        pull, pulls, _ = self._pull(state)
+        objective = total / weight / self.scale + self.statistics * misfit + pull
+        gradient = vector / (weight * self.scale) + pulls
         if near is not None:
             gradient += self.statistics * (near.slopes * soft) @ rows
         return Place(float(objective), gradient, total / weight, rows)
@@ -169,24 +201,28 @@ class Fit:
     def equations(self, state: State) -> Equations:
         """The objective at a state, its gradient and its Gauss-Newton matrix."""
         size = len(self._hold)
-        data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
+        data, total, weight = np.zeros((size, size)), 0.0, 0.0
         sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
+        scores = []
         parts, jacobians = self.each(lambda at: self._call(state, at[0], at[1]), self._chunks)
         for (i, _), part in zip(self._chunks, parts):
             index = self._index(i)
             data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
-            vector[index] += np.asarray(part.vector, np.float64)
+            scores.append(np.zeros(size))
+            scores[-1][index] = np.asarray(part.vector, np.float64)
             slopes[index] += np.asarray(part.slopes, np.float64)
             sums += self._eight_bits(i, part.sums)
             total, weight = total + float(part.loss), weight + float(part.weight)
+        vector = np.sum(scores, axis=0)
         rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
         jacobian = _slopes_of_misfit(sums, self.wanted, slopes)
-        deviation, share = self._deviation(state), 1 / (weight * self.scale)
-        matrix = share * data + self.statistics * (jacobian * soft) @ jacobian.T + np.diag(self._hold)
-        right = share * vector + self.statistics * (jacobian * soft) @ rows + self._hold * deviation
-        objective = float(share * total + self.statistics * misfit + self._hold @ deviation**2)
-        return Equations(objective, matrix, right, data, total, weight, jacobian, jacobians)
+        pull, pulls, stiffness = self._pull(state)
+        share = 1 / (weight * self.scale)
+        matrix = share * data + self.statistics * (jacobian * soft) @ jacobian.T + stiffness
+        right = share * vector + self.statistics * (jacobian * soft) @ rows + pulls
+        objective = float(share * total + self.statistics * misfit + pull)
+        return Equations(objective, matrix, right, data, np.stack(scores), total, weight, jacobian, jacobians)
 
     def run(
         self,
@@ -232,6 +268,26 @@ class Fit:
         step = np.linalg.solve(at.matrix + damping * np.diag(diagonal), -vector)
         there = state.moved(np.clip(step, -LONGEST, LONGEST))
         return there, self._at(there, at)
+
+
+def patch_at(at: Equations) -> float:
+    """How many pixels' residuals are about as good as one independent one, PATCH at least.
+
+    Were residuals independent, the scores of the chunks would vary as the curvature says. How much more
+    they vary is measured, and it includes what no camera of this kind can render: that is alike in whole
+    surfaces. Directions that the pixels say nothing of are left out.
+
+    Source: Pauli, Racugno and Ventura 2011, "Bayesian composite marginal likelihoods": the magnitude
+    adjustment.
+    """
+    count = len(at.scores)
+    if count < FEWEST_CHUNKS:
+        return PATCH
+    variance = at.loss / at.weight / 2
+    scores = at.scores - at.scores.mean(axis=0)
+    told = np.linalg.inv(at.data + PATCH * variance * np.eye(len(at.data)))
+    vary = np.einsum("ci,ij,cj", scores, told, scores) * count / (count - 1)
+    return max(PATCH, float(vary / np.einsum("ij,ji", told, at.data) / max(variance, 1e-12)))
 
 
 def _flat(state: State) -> np.ndarray:

@@ -50,6 +50,8 @@ class Equations:
     vector: np.ndarray
     data: np.ndarray
     """The part of `matrix` that the pixels give, in squared levels."""
+    scores: np.ndarray
+    """(chunks, columns): the gradient of each chunk's loss."""
     loss: float
     weight: float
     slopes: np.ndarray

@@ -118,11 +118,34 @@ def prepare(example: Example, most: int = 32) -> Shot:
     mosaic = padded(example)
     tiles = [_tile(example, mosaic, alignment, lens, masks.fitted, corner) for corner in corners]
     flat = _regions(example.picture, masks.fitted)
-    chunks = tuple(_chunks(tiles, [_cut(flat, corner) for corner in corners], example.raw.mosaic.shape))
+    cuts = [_cut(flat, corner) for corner in corners]
+    chunks = tuple(_chunks(tiles, cuts, _corner(example.raw.mosaic.shape)))
     sensor_noise = raw_noise(example.raw)
     return Shot(
         example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, sensor_noise, lens
     )
+
+
+def halved(shot: Shot) -> tuple[Shot, Shot]:
+    """The left and the right half of a shot's tiles.
+
+    Raises:
+        InputError: one of them has nothing to fit.
+    """
+    stacked = Chunk(*(np.concatenate([np.atleast_1d(p) for p in part]) for part in zip(*shot.chunks)))
+    columns = stacked.place[:, 1, None] + HALO + np.arange(TILE)
+    halves = []
+    for inside in (columns < 0, columns >= 0):
+        mask = stacked.mask * inside[:, None]
+        edges = stacked.edges * inside[:, None]
+        flat = stacked.flat * inside.reshape(len(inside), 1, 1, -1, noise.BLOCK).all(-1)
+        kept = np.flatnonzero(mask.any(axis=(1, 2)))
+        if not len(kept):
+            raise InputError(f"{shot.name}: one half has nothing to fit")
+        tiles = [(stacked.source[i], stacked.target[i], mask[i], stacked.place[i]) for i in kept]
+        chunks = _chunks(tiles, [(flat[i], edges[i]) for i in kept], stacked.corner[0])
+        halves.append(dataclasses.replace(shot, chunks=tuple(chunks)))
+    return halves[0], halves[1]
 
 
 def padded(example: Example) -> np.ndarray:
@@ -136,7 +159,7 @@ def blank(example: Example, mosaic: np.ndarray, shot: Shot, corners: Sequence[tu
     tiles = [_tile(example, mosaic, shot.alignment, shot.lens, nowhere, corner) for corner in corners]
     rows = TILE // noise.BLOCK
     empty = np.zeros((noise.BINS, rows, rows), np.float32), np.zeros((TILE, TILE), np.float32)
-    return next(_chunks(tiles, [empty] * len(tiles), example.raw.mosaic.shape))
+    return next(_chunks(tiles, [empty] * len(tiles), _corner(example.raw.mosaic.shape)))
 
 
 def no_chunk() -> Chunk:
@@ -215,9 +238,13 @@ def _cut(found: noise.Regions, corner: tuple[int, int]) -> tuple[np.ndarray, np.
     return found.flat[:, top : top + per, left : left + per], found.edges[y : y + TILE, x : x + TILE]
 
 
-def _chunks(tiles: list[Any], cuts: list[Any], raw_shape: tuple[int, ...]) -> Iterator[Chunk]:
+def _corner(raw_shape: tuple[int, ...]) -> np.float32:
+    """Of `Chunk.corner`."""
+    return np.float32(sum((n - 1) ** 2 for n in raw_shape) / 4)
+
+
+def _chunks(tiles: list[Any], cuts: list[Any], corner: np.float32) -> Iterator[Chunk]:
     """The tiles in groups of one size, dealt out so that each group is like the whole."""
-    corner = np.float32(sum((n - 1) ** 2 for n in raw_shape) / 4)
     count = -(-len(tiles) // TILES)
     for first in range(count):
         group = list(zip(tiles, cuts))[first::count]

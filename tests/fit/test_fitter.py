@@ -69,6 +69,34 @@ def test_figures_are_of_disjoint_tiles(folder, result):
     json.dumps(figures, allow_nan=False)
 
 
+@pytest.mark.slow
+def test_a_scene_held_out_is_measured_on_a_camera_that_never_saw_it(folder, result, tmp_path):
+    """The reference: a fit of the other pair alone, applied by `develop`."""
+    write_pairs(tmp_path, PHONES["a"], {"coffee": scene("coffee", SIZE)})
+    first, other = example(folder), dataclasses.replace(example(tmp_path), name="coffee")
+    both = fit_examples([first, other], steps=10, **PLAIN, hold_out="scenes")
+    assert both.scenes.names == ("astronaut", "coffee")
+    alone = fit_examples([other], steps=10, **PLAIN).camera
+    shot = prepare(first)
+    tiles = split(first.picture, shot.alignment, first.raw.mosaic.shape).held_out
+    wanted = psnr(develop(first.raw, alone)[tiles], first.picture[tiles])
+    assert both.scenes.psnr[0] == pytest.approx(wanted, abs=0.5)
+    figures = both.as_dict()
+    assert figures["held_out"]["psnr"] == pytest.approx(np.mean(both.scenes.psnr))
+    assert figures["held_out_tiles"]["psnr"] == pytest.approx(np.mean([p.held_out_psnr for p in both.pairs]))
+    assert both.scenes.psnr[0] < both.pairs[0].held_out_psnr
+
+
+def test_of_one_pair_its_halves_are_held_out(folder, result, tmp_path):
+    found = fit_examples([example(folder)], steps=3, **PLAIN, hold_out="scenes")
+    (psnr,), (ssim,) = found.scenes.psnr, found.scenes.ssim
+    assert 20 < psnr < result.pairs[0].held_out_psnr and 0.5 < ssim < 1
+    assert "half" in found.as_dict()["held_out"]["how"]
+    assert f"{psnr:.2f}" in write_report(found, tmp_path).read_text()
+    with pytest.raises(InputError, match="tiles, scenes"):
+        fit_examples([example(folder)], hold_out="pairs")
+
+
 def test_a_known_shift_is_found(folder):
     given = example(folder)
     moved = dataclasses.replace(given, picture=np.roll(given.picture, (2, -3), (0, 1)), jpeg=None)

@@ -1,0 +1,60 @@
+"""What a fit saw, and what a RAW has beyond it."""
+
+import numpy as np
+import pytest
+
+from jaxisp.cli import main
+from jaxisp.errors import InputError
+from jaxisp.fit.seen import Seen, block_means
+from jaxisp.io.dng import write_dng
+from jaxisp.recipe import Recipe
+
+GREY = np.linspace(0.05, 0.4, 200)[:, None] * np.ones(3)
+
+
+def test_means_of_blocks_are_those_of_each_colour():
+    mosaic = np.tile(np.asarray([[0.1, 0.2], [0.4, 0.3]]), (32, 24))
+    found = block_means(mosaic, "GRBG", np.asarray([2.0, 1.0, 1.5]))
+    assert found.shape == (4 * 3, 3)
+    np.testing.assert_allclose(found, np.tile([0.4, 0.2, 0.6], (12, 1)))
+
+
+def test_tones_and_hues_beyond_are_told_and_others_not():
+    seen = Seen.of(GREY)
+    assert seen.hues == () and seen.levels == pytest.approx((0.05, 0.4), rel=0.1)
+    assert seen.beyond(GREY[::-1]) == []
+    (dark,) = seen.beyond(np.concatenate([GREY, GREY[:50] / 8]))
+    assert dark == "20 % darker than all that was fitted"
+    (bright,) = seen.beyond(np.concatenate([GREY, np.full((50, 3), 0.9)]))
+    assert bright.startswith("20 % brighter")
+    (red,) = seen.beyond(np.concatenate([GREY, np.tile([0.5, 0.1, 0.1], (50, 1))]))
+    assert red == "20 % red, a hue that was not fitted"
+    again = Seen.of(np.concatenate([GREY, np.tile([0.5, 0.1, 0.1], (50, 1))]))
+    assert again.hues == ("red",)
+    assert Seen.from_dict(again.as_dict(), "camera") == again
+
+
+def test_develop_warns_of_what_the_camera_was_not_fitted_on(folder, result, tmp_path, capsys):
+    result.camera.save(tmp_path / "camera.toml")
+    raw = str(next(folder.glob("*.dng")))
+    out = ["-o", str(tmp_path / "out.png")]
+    assert main(["develop", raw, *out, "--camera", str(tmp_path / "camera.toml")]) == 0
+    assert "not fitted" not in capsys.readouterr().err
+    assert "green" not in result.camera.meta["seen"]["hues"]
+    green = np.tile(np.asarray([[60, 600], [600, 60]], np.uint16), (64, 64))
+    write_dng(tmp_path / "green.dng", green, cfa="RGGB", black=(0, 0, 0, 0), white=1023, color_matrix=None)
+    assert (
+        main(["develop", str(tmp_path / "green.dng"), *out, "--camera", str(tmp_path / "camera.toml")]) == 0
+    )
+    assert "100 % green, a hue that was not fitted" in capsys.readouterr().err
+
+
+def test_a_camera_that_does_not_say_what_it_saw_is_taken_and_a_wrong_one_refused(folder, result, tmp_path):
+    old = {key: value for key, value in result.camera.meta.items() if key != "seen"}
+    raw = str(next(folder.glob("*.dng")))
+    for meta, code in (old, 0), ({**old, "seen": {"levels": 1}}, 2):
+        Recipe(result.camera.chain, result.camera.prior, meta=meta).save(tmp_path / "camera.toml")
+        arguments = ["develop", raw, "-o", str(tmp_path / "out.png")]
+        assert main([*arguments, "--camera", str(tmp_path / "camera.toml")]) == code
+    with pytest.raises(InputError, match=r"meta\.seen"):
+        Seen.from_dict({"levels": [0, 1], "hues": 3}, "camera")
