@@ -15,7 +15,7 @@ from jaxisp.arrays.barriers import store
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, meant, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
-from jaxisp.params import specs
+from jaxisp.params import specs, strong
 from jaxisp.pipeline import Chain, Node, over_batch, sample_keys
 from jaxisp.priors import check_prior, draw
 from jaxisp.process.selfcheck import check_backend
@@ -36,7 +36,9 @@ _SIZE = (64, 64)  # of the picture that a recipe is tried on
 class Recipe:
     """A pipeline, what its parameters are drawn from, and what it is for.
 
-    Two recipes are equal where their TOML and the functions of their stages are, and then share one compile.
+    Two recipes are equal where their TOML and the functions of their stages are. Recipes of equal chains
+    share one compile if their priors are of the same kinds: numbers are traced. A recipe is a pytree of
+    these numbers, so that a jitted function takes one as an argument.
     """
 
     chain: Chain
@@ -123,7 +125,7 @@ class Recipe:
                 known of traced ones); they have no pixels; or there is no such index.
         """
         check_backend()
-        return _degrade(self, *self._taken(key, images, start))
+        return _degrade(self.chain, strong(self.prior), *self._taken(key, images, start))
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
@@ -131,7 +133,7 @@ class Recipe:
         Takes and raises what `degrade` does.
         """
         key, images, start = self._taken(key, images, start)
-        return _repeat(self, key, params, images, start)
+        return _repeat(self.chain, key, params, images, start)
 
     def _taken(self, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
         """Key, images and start as they are computed with, checked as far as the host knows them."""
@@ -279,15 +281,34 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
+def _degrade(chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any) -> Degraded:
     drawing, _ = _keys(key, start, len(images))
     # stored, or what is drawn would be computed, and rounded, within what uses it
-    params = store(jax.vmap(recipe.draw)(drawing))
+    like = chain.init()
+    params = store(jax.vmap(lambda own: draw(own, prior, like))(drawing))
     # the images leave as a copy: what was given may be overwritten or donated
-    return _repeat(recipe, key, params, images, start), images, params
+    return _repeat(chain, key, params, images, start), images, params
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _repeat(recipe: Recipe, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
+def _repeat(chain: Chain, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
     _, noise = _keys(key, start, len(images))
-    return over_batch(recipe.chain, params, images, noise)
+    return over_batch(chain, params, images, noise)
+
+
+def _flatten(recipe: Recipe) -> tuple[tuple[Any, ...], Any]:
+    aux = tuple(recipe.prior), recipe.chain, recipe.description, tomli_w.dumps(recipe.meta)
+    return tuple(recipe.prior.values()), aux
+
+
+def _unflatten(aux: Any, children: Any) -> Recipe:
+    names, chain, description, meta = aux
+    recipe, prior = object.__new__(Recipe), dict(zip(names, children))
+    own = {"chain": chain, "description": description, "meta": parse_toml(meta, "meta")}
+    # unchecked: JAX puts anything where the numbers were
+    for name, value in {**own, "prior": prior, "_before": prior}.items():
+        object.__setattr__(recipe, name, value)
+    return recipe
+
+
+jax.tree_util.register_pytree_node(Recipe, _flatten, _unflatten)

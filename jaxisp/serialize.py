@@ -18,7 +18,7 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import short
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
-from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
+from jaxisp.priors import DISTRIBUTIONS, Choice, arguments, check_prior, is_distribution, is_traced
 
 Table = dict[str, Any]
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
@@ -74,7 +74,9 @@ _DECODERS: dict[str, Callable[[Table], Node]] = {
 
 
 def encode_params(tree: dict[str, Any]) -> Table:
-    """Parameters or priors by stage name as tables."""
+    """Parameters or priors by stage name as tables. Raises InputError where a number is traced."""
+    if is_traced(tree):
+        raise InputError("numbers that are traced cannot be written: take the recipe out of jit")
     return {
         name: {f: _encode_leaf(getattr(values, f)) for f in specs(type(values))}
         for name, values in tree.items()
@@ -114,8 +116,7 @@ def _constants(values: Any) -> Any:
 def _encode_leaf(value: Any) -> Any:
     if not is_distribution(value):
         return _plain(np.asarray(value, np.float32))
-    arguments = value.values if isinstance(value, Choice) else dataclasses.astuple(value)
-    return {_KINDS[type(value)]: [float(a) for a in arguments]}
+    return {_KINDS[type(value)]: [float(_plain(a)) for a in arguments(value)]}
 
 
 def _decode_leaf(path: str, value: Any) -> Any:

@@ -1,0 +1,96 @@
+"""Recipes as their users change them: new numbers, edits and mixtures."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxisp import Chain, InputError, Recipe, stage
+from jaxisp.domains import EncodedRGB
+from jaxisp.params import Leaf, param, parameters
+from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
+from jaxisp.recipes import RECIPES
+from jaxisp.testing import smooth_image
+
+KEY = jax.random.key(7)
+IMAGES = np.stack([smooth_image((16, 16, 3), i) for i in range(4)]).astype(np.float32)
+
+
+@parameters
+class Lift:
+    level: Leaf = param(0.0, (-1.0, 1.0), "level")
+
+
+def lifting():
+    """A recipe of one stage, and the list of its traces."""
+    traces = []
+
+    def lift(params: Lift, image: EncodedRGB) -> EncodedRGB:
+        traces.append(1)
+        return image + params.level
+
+    return Recipe(Chain((stage(lift),), "lifting"), {}), traces
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        (0.25, 0.5),
+        (Uniform(0, 0.1), Uniform(0.2, 0.3)),
+        (LogUniform(0.1, 0.2), LogUniform(0.3, 0.4)),
+        (PowerUniform(0, 0.1, 2), PowerUniform(0.5, 0.6, 1)),
+        (Normal(0.1, 0.1, 0, 0.2), Normal(0.4, 0.1, 0.3, 1)),
+        (Choice((0, 0.1)), Choice((0.5, 0.75))),
+        (Bernoulli(0.0), Bernoulli(1.0)),
+    ],
+    ids=lambda laws: type(laws[0]).__name__,
+)
+def test_new_numbers_of_a_prior_do_not_compile_again(laws):
+    recipe, traces = lifting()
+    for law in laws:
+        noisy, _, params = recipe.override(lift={"level": law}).degrade(KEY, IMAGES)
+        low, high = law.support if hasattr(law, "support") else (law, law)
+        level = np.asarray(params["lift"].level)
+        assert (level >= low - 1e-6).all() and (level <= high + 1e-6).all()
+        np.testing.assert_allclose(noisy, IMAGES + level[:, None, None, None], atol=1e-6)
+    assert len(traces) == 1
+
+
+def test_a_schedule_in_ones_own_step():
+    """The recipe is an argument, or its numbers are computed from the step; neither compiles again."""
+    recipe, traces = lifting()
+
+    @jax.jit
+    def passed(recipe, images):
+        return recipe.degrade(KEY, images)[2]["lift"].level
+
+    @jax.jit
+    def computed(step, images):
+        now = recipe.override(lift={"level": Uniform(0.1 * step, 0.1 * step + 0.05)})
+        return now.degrade(KEY, images)[2]["lift"].level
+
+    for step in range(1, 4):
+        now = recipe.override(lift={"level": Uniform(0.1 * step, 0.1 * step + 0.05)})
+        outside = now.degrade(KEY, IMAGES)[2]["lift"].level
+        np.testing.assert_array_equal(passed(now, IMAGES), outside)
+        np.testing.assert_allclose(computed(jnp.float32(step), IMAGES), outside, atol=1e-6)
+    assert len(traces) <= 3  # one a program
+
+
+def test_draws_have_the_same_bits_within_a_program_and_outside():
+    law = LogUniform(0.003, 0.06)
+    recipe = lifting()[0].override(lift={"level": law})
+    inside = jax.jit(lambda images: recipe.degrade(KEY, images)[2]["lift"].level)(IMAGES)
+    np.testing.assert_array_equal(inside, recipe.degrade(KEY, IMAGES)[2]["lift"].level)
+
+
+def test_a_recipe_that_went_through_a_tree_map_is_itself():
+    recipe = RECIPES["phone-any"]()
+    again = jax.tree.map(lambda number: number, recipe)
+    assert again == recipe and again.description == recipe.description
+
+
+def test_traced_numbers_are_not_written():
+    recipe, _ = lifting()
+    with pytest.raises(InputError, match="traced"):
+        jax.jit(lambda x: recipe.override(lift={"level": x}).to_toml())(0.5)
