@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 
+from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
@@ -97,14 +98,31 @@ class Chain(Row):
                 image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
         return image
 
+    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Chain":
+        """This chain with nodes before or after the one of a name, at any depth.
+
+        Raises:
+            InputError: there is none of that name. ValueError, TypeError: as where a chain is built.
+        """
+        return edits.insert(self, nodes, before, after)
+
+    def replace(self, name: str, node: Node) -> "Chain":
+        """This chain with another node in the place of the one of that name. Raises what `insert` does."""
+        return edits.replace(self, name, node)
+
     def without(self, *names: str) -> "Chain":
-        """This chain less the nodes of those names (a static switch, as for an ablation)."""
-        missing = set(names) - {n.name for n in self.nodes}
-        if missing:
-            raise KeyError(
-                f"{self.name} has no node {sorted(missing)}; it has {[n.name for n in self.nodes]}"
-            )
-        return Chain(tuple(n for n in self.nodes if n.name not in names), self.name)
+        """This chain less the nodes of those names (a static switch, as for an ablation).
+
+        Raises what `insert` does.
+        """
+        return edits.without(self, *names)
+
+    def override(self, **options: dict[str, Any]) -> "Chain":
+        """This chain with other static options: `chain.override(median={"footprint": "cross"})`.
+
+        Raises what `insert` does, and what `stage` does.
+        """
+        return edits.with_options(self, options)
 
 
 @parameters

@@ -16,7 +16,7 @@ from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, meant, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
 from jaxisp.params import specs, strong
-from jaxisp.pipeline import Chain, Node, over_batch, sample_keys
+from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signature
 from jaxisp.priors import check_prior, draw
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
@@ -81,25 +81,66 @@ class Recipe:
         return hash(self._text)
 
     def override(self, **stages: dict[str, Any]) -> "Recipe":
-        """The recipe with some parameters drawn otherwise; all others stay.
+        """The recipe with some parameters drawn otherwise, or other static options; all others stay.
 
         `recipe.override(shot_read_noise={"read": Uniform(0.0, 0.05)})`; a number is not drawn.
 
         Raises:
-            InputError: there is no such stage or parameter, or it may not be what is given.
+            InputError: there is no such stage, parameter or option, or it may not be what is given.
         """
-        changed = {}
+        changed, options = {}, {}
+        has = {s.name: dict(signature(s.fn).static) for s in self.chain.stages()}
+        has = {name: has.get(name, {}) for name in {**has, **self.prior}}
         for name, values in stages.items():
-            if name not in self.prior:
-                hint = meant(name, self.prior) or f"; it has {sorted(self.prior)}"
+            if name not in has:
+                hint = meant(name, has) or f"; it has {sorted(has)}"
                 raise InputError(f"recipe {self.name!r} has no stage {name}{hint}")
-            known = specs(type(self.prior[name]))
-            if not isinstance(values, dict) or set(values) - set(known):
+            known = specs(type(self.prior[name])) if name in self.prior else {}
+            if not isinstance(values, dict) or set(values) - {*known, *has[name]}:
+                also = f" and the options {sorted(has[name])}" if has[name] else ""
                 raise InputError(
-                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}, got {short(values)}"
+                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}{also}, got {short(values)}"
                 )
-            changed[name] = dataclasses.replace(self.prior[name], **values)
-        return dataclasses.replace(self, prior=changed)
+            if drawn := {n: v for n, v in values.items() if n in known}:
+                changed[name] = dataclasses.replace(self.prior[name], **drawn)
+            if static := {n: v for n, v in values.items() if n not in known}:
+                options[name] = static
+        chain = self.chain.override(**options) if options else self.chain
+        return dataclasses.replace(self, chain=chain, prior=changed)
+
+    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Recipe":
+        """The recipe with stages before or after the one of a name; their parameters are the defaults.
+
+        `recipe.insert(stage("vignetting"), before="mosaic").override(vignetting={...})`
+
+        Raises:
+            InputError: there is no stage of that name. ValueError, TypeError: as where a chain is built.
+        """
+        return self._with(self.chain.insert(*nodes, before=before, after=after))
+
+    def replace(self, name: str, node: Node) -> "Recipe":
+        """The recipe with another stage in the place of one. Raises what `insert` does.
+
+        Where name and class of the parameters are the same, they stay; else they are the defaults.
+        """
+        return self._with(self.chain.replace(name, node))
+
+    def without(self, *names: str) -> "Recipe":
+        """The recipe less the stages of those names; the others' draws and noise stay to the bit.
+
+        Raises what `insert` does.
+        """
+        return self._with(self.chain.without(*names))
+
+    def _with(self, chain: Chain) -> "Recipe":
+        sizes = {name: np.shape(v.priority) for name, v in chain.init().items() if isinstance(v, Order)}
+        # constant priorities of fewer or more nodes say nothing of the order now
+        kept = {
+            name: own
+            for name, own in self.prior.items()
+            if not isinstance(own, Order) or np.shape(own.priority) in ((), sizes.get(name))
+        }
+        return dataclasses.replace(self, chain=chain, prior={}, _before=kept)
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
         """One draw of the parameters."""

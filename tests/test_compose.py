@@ -94,3 +94,70 @@ def test_traced_numbers_are_not_written():
     recipe, _ = lifting()
     with pytest.raises(InputError, match="traced"):
         jax.jit(lambda x: recipe.override(lift={"level": x}).to_toml())(0.5)
+
+
+def names(pipeline):
+    return [s.name for s in pipeline.stages()]
+
+
+def test_editing_a_recipe():
+    phone = RECIPES["phone"]()
+    shaded = phone.insert(stage("vignetting"), before="mosaic")
+    assert names(shaded.chain)[:3] == ["srgb_eotf", "vignetting", "mosaic"]
+    assert names(phone.insert(stage("median", name="second"), after="median").chain)[6:8] == [
+        "median",
+        "second",
+    ]
+    assert shaded.prior["shot_read_noise"] == phone.prior["shot_read_noise"]
+    assert shaded.without("vignetting") == phone
+    other = phone.replace("demosaic_hibbard", stage("demosaic_ahd", cfa="GRBG"))
+    assert names(other.chain) == [
+        "demosaic_ahd" if n == "demosaic_hibbard" else n for n in names(phone.chain)
+    ]
+    assert other.prior["jpeg_photoshop"] == phone.prior["jpeg_photoshop"]
+    same = phone.override(bilateral={"chroma_cell": 8, "guide_gamma": 1.0})
+    assert dict(same.chain.nodes[7].static)["chroma_cell"] == 8 and same.prior["bilateral"].guide_gamma == 1.0
+    assert same.prior["bilateral"].luma_sigma_space == phone.prior["bilateral"].luma_sigma_space
+    assert Recipe.from_toml(other.to_toml()) == other
+    assert phone.chain.without("median") == phone.without("median").chain
+    assert phone.chain.override(median={"footprint": "square"}).nodes[6] == stage(
+        "median", footprint="square"
+    )
+
+
+def test_editing_what_is_within_a_gate():
+    recipe = RECIPES["phone-any"]()
+    assert "use_bilateral" not in recipe.without("bilateral").prior
+    before = recipe.insert(stage("median", name="second"), before="bilateral").chain.nodes
+    assert [n.name for n in before[7:9]] == ["second", "use_bilateral"]
+    wavelets = recipe.replace("bilateral", stage("median", name="other"))
+    assert "use_other" in wavelets.prior and "bilateral" not in wavelets.prior
+
+
+def test_what_is_left_out_takes_nothing_of_the_rest_along():
+    amwgn = RECIPES["amwgn"]()
+    shaded = amwgn.insert(stage("exposure"), before="shot_read_noise")  # 0 EV: nothing changes
+    np.testing.assert_array_equal(shaded.degrade(KEY, IMAGES)[0], amwgn.degrade(KEY, IMAGES)[0])
+
+
+@pytest.mark.parametrize("of", [lambda recipe: recipe, lambda recipe: recipe.chain], ids=["recipe", "chain"])
+def test_edits_that_are_refused(of):
+    phone = of(RECIPES["phone"]())
+    for edit, message in (
+        (lambda: phone.without("medain"), "has no stage 'medain'; is it median"),
+        (lambda: phone.replace("demosaic", stage("demosaic_ahd")), "has no stage 'demosaic'"),
+        (lambda: phone.insert(stage("vignetting")), "either before= or after="),
+        (
+            lambda: phone.insert(stage("vignetting"), before="mosaic", after="clip"),
+            "either before= or after=",
+        ),
+        (lambda: phone.insert("vignetting", before="mosaic"), r"stage\('vignetting'\)\?"),
+        (lambda: phone.insert(stage("median"), before="median"), "median is not: use stage"),
+        (lambda: phone.without("mosaic"), "takes"),
+        (lambda: phone.replace("demosaic_hibbard", stage("demosaic_ahd")), "takes one colour for another"),
+        (lambda: phone.override(mosaic={"cfa": "GRBB"}), "one of 'RGGB'"),
+        (lambda: phone.override(median={"footprnt": "cross"}), "footprint"),
+        (lambda: phone.override(medain={}), "has no stage '?medain'?; is it median"),
+    ):
+        with pytest.raises((InputError, ValueError, TypeError), match=message):
+            edit()
