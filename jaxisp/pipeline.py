@@ -30,7 +30,7 @@ from jaxisp.registry import CELL, REGISTRY, Signature, register, sections, signa
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
     "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_keys", "sections", "signature",
-    "stage",
+    "spread", "stage",
 ]  # fmt: skip
 
 
@@ -371,9 +371,9 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     if 0 in images.shape[1:]:
         raise ValueError(f"{node.name}: pictures without pixels, of shape {images.shape[1:]}")
     axes = batch_axes(params)
-    spread = spread_over(images)
-    if spread is not None:
-        return _spread(spread, functools.partial(over_batch, node), axes, params, images, keys)
+    mesh = spread_over(images)
+    if mesh is not None:
+        return spread(mesh, functools.partial(over_batch, node), axes, params, images, keys)
 
     def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         return node(params, image, key=key)
@@ -404,7 +404,7 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
 
 
-def _spread(
+def spread(
     mesh: jax.sharding.AbstractMesh,
     fn: Callable[..., jax.Array],
     axes: Any,

@@ -166,26 +166,15 @@ class Recipe:
                 known of traced ones); they have no pixels; or there is no such index.
         """
         check_backend()
-        return _degrade(self.chain, strong(self.prior), *self._taken(key, images, start))
+        return _degrade(self.chain, strong(self.prior), *taken(f"recipe {self.name!r}", key, images, start))
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
 
         Takes and raises what `degrade` does.
         """
-        key, images, start = self._taken(key, images, start)
+        key, images, start = taken(f"recipe {self.name!r}", key, images, start)
         return _repeat(self.chain, key, params, images, start)
-
-    def _taken(self, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
-        """Key, images and start as they are computed with, checked as far as the host knows them."""
-        shape = jnp.shape(images)
-        if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-            got = f"{jnp.result_type(images)}{shape}"
-            raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
-        if not isinstance(key, jax.Array | np.ndarray):
-            raise TypeError(f"recipe {self.name!r} takes a JAX key, as jax.random.key(0), got {key!r}")
-        check_levels(images, f"recipe {self.name!r}")
-        return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
     def to_toml(self) -> str:
         """The recipe as TOML; `from_toml` reads it back equal."""
@@ -225,6 +214,18 @@ class Recipe:
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
         return cls._from_table(read_toml(path), str(path))
+
+
+def taken(who: str, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
+    """Key, images and start as they are computed with, checked as far as the host knows them."""
+    shape = jnp.shape(images)
+    if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
+        got = f"{jnp.result_type(images)}{shape}"
+        raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
+    if not isinstance(key, jax.Array | np.ndarray):
+        raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
+    check_levels(images, who)
+    return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
 
 def check_levels(images: ArrayLike, who: str) -> None:
@@ -313,7 +314,7 @@ def _indices(start: Any, count: int) -> Any:
     return given.astype(np.int32)
 
 
-def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
+def sample_halves(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
     """Per sample, one key for its parameters and one for its noise."""
     indices = start + jnp.arange(count) if jnp.ndim(start) == 0 else start
     own = sample_keys(key, indices)
@@ -323,7 +324,7 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 
 @functools.partial(jax.jit, static_argnums=0)
 def _degrade(chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any) -> Degraded:
-    drawing, _ = _keys(key, start, len(images))
+    drawing, _ = sample_halves(key, start, len(images))
     # stored, or what is drawn would be computed, and rounded, within what uses it
     like = chain.init()
     params = store(jax.vmap(lambda own: draw(own, prior, like))(drawing))
@@ -333,7 +334,7 @@ def _degrade(chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Ar
 
 @functools.partial(jax.jit, static_argnums=0)
 def _repeat(chain: Chain, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
-    _, noise = _keys(key, start, len(images))
+    _, noise = sample_halves(key, start, len(images))
     return over_batch(chain, params, images, noise)
 
 

@@ -7,10 +7,12 @@ Work is done in linear light, as there; what goes in and comes out is encoded sR
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from jaxisp.errors import InputError
+from jaxisp.io.files import short
+from jaxisp.mixture import Mixture
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
@@ -135,6 +137,36 @@ def find_recipe(name: str) -> Recipe:
     if not name.endswith(".toml") and not os.path.lexists(name):
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
+
+
+def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
+    """A mixture: each image is degraded by one of several recipes.
+
+    `mix({"phone": 0.6, "awgn": 0.2, "clean": 0.2})`; `clean` leaves an image as it is.
+
+    Args:
+        shares: of the images, by recipe: a built-in name, a TOML file, or a `Recipe`. They sum to 1.
+
+    Raises:
+        InputError: no such recipe, two of one name, one that is not for photographs, or other shares.
+    """
+    if not isinstance(shares, Mapping):
+        raise InputError(
+            f"mix takes shares by recipe, as {{'phone': 0.8, 'clean': 0.2}}, got {short(shares)}"
+        )
+    recipes: dict[str, Recipe] = {}
+    for given in shares:
+        recipe = given if isinstance(given, Recipe) else _clean() if given == "clean" else find_recipe(given)
+        if recipe.name in recipes:
+            raise InputError(
+                f"two recipes of a mixture are named {recipe.name!r}: name one's chain otherwise"
+            )
+        recipes[recipe.name] = recipe
+    return Mixture(recipes, tuple(shares.values()))
+
+
+def _clean() -> Recipe:
+    return Recipe(Chain((), "clean"), {}, "pictures as they are")
 
 
 def _recipe(name: str, description: str, middle: tuple[Any, ...], prior: dict[str, Any]) -> Recipe:

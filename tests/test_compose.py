@@ -9,7 +9,7 @@ from jaxisp import Chain, InputError, Recipe, stage
 from jaxisp.domains import EncodedRGB
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, mix
 from jaxisp.testing import smooth_image
 
 KEY = jax.random.key(7)
@@ -120,9 +120,7 @@ def test_editing_a_recipe():
     assert same.prior["bilateral"].luma_sigma_space == phone.prior["bilateral"].luma_sigma_space
     assert Recipe.from_toml(other.to_toml()) == other
     assert phone.chain.without("median") == phone.without("median").chain
-    assert phone.chain.override(median={"footprint": "square"}).nodes[6] == stage(
-        "median", footprint="square"
-    )
+    assert phone.chain.override(median={"footprint": "5x5"}).nodes[6] == stage("median", footprint="5x5")
 
 
 def test_editing_what_is_within_a_gate():
@@ -161,3 +159,72 @@ def test_edits_that_are_refused(of):
     ):
         with pytest.raises((InputError, ValueError, TypeError), match=message):
             edit()
+
+
+def test_a_mixture_gives_each_image_what_its_recipe_gives():
+    heavy, light = RECIPES["amwgn"](), RECIPES["awgn"]()
+    mixture = mix({heavy: 0.5, "awgn": 0.25, "clean": 0.25})
+    images = np.concatenate([IMAGES] * 6)
+    noisy, clean, params = mixture.degrade(KEY, images, 3)
+    which = np.asarray(params["recipe"])
+    assert mixture.names == ("amwgn", "awgn", "clean") and set(which) == {0, 1, 2}
+    np.testing.assert_array_equal(clean, images)
+    for i, recipe in enumerate((heavy, light)):
+        alone, _, drawn = recipe.degrade(KEY, images, 3)
+        np.testing.assert_array_equal(noisy[which == i], alone[which == i])
+        for mixed, own in zip(jax.tree.leaves(params[recipe.name]), jax.tree.leaves(drawn)):
+            np.testing.assert_array_equal(mixed[which == i], own[which == i])
+            assert np.isnan(mixed[which != i]).all()
+    np.testing.assert_array_equal(noisy[which == 2], images[which == 2])
+    np.testing.assert_array_equal(mixture.repeat(KEY, params, images, 3), noisy)
+    np.testing.assert_array_equal(mixture.degrade(KEY, images[5:9], 8)[0], noisy[5:9])
+    inside = jax.jit(lambda images: mixture.degrade(KEY, images, 3)[0])(images)
+    np.testing.assert_array_equal(inside, noisy)
+
+
+def test_a_mixture_draws_its_shares_and_compiles_once():
+    recipe, traces = lifting()
+    images = np.zeros((4000, 2, 2, 3), np.float32)
+    for share in (0.3, 0.8, 0.0):
+        mixture = mix({recipe.override(lift={"level": 0.5 * share}): share, "clean": 1 - share})
+        for seed in range(2):
+            noisy, _, params = mixture.degrade(jax.random.key(seed), images)
+            lifted = np.asarray(params["recipe"]) == 0
+            assert abs(lifted.mean() - share) < 5 * (share * (1 - share) / 4000) ** 0.5 + 1e-9
+            np.testing.assert_array_equal(noisy[:, 0, 0, 0], np.where(lifted, np.float32(0.5 * share), 0))
+    assert len(traces) == 1
+
+
+def test_a_mixture_runs_no_recipe_for_the_images_of_another():
+    """A recipe counts its images as they are computed."""
+    seen = []
+
+    def counted(image: EncodedRGB) -> EncodedRGB:
+        jax.debug.callback(lambda _: seen.append(1), image[0, 0, 0])
+        return image
+
+    mixture = mix({Recipe(Chain((stage(counted),), "counted"), {}): 0.25, "clean": 0.75})
+    images = np.concatenate([IMAGES] * 16)
+    jax.block_until_ready(mixture.degrade(KEY, images))
+    jax.effects_barrier()
+    own = int((np.asarray(mixture.degrade(KEY, images)[2]["recipe"]) == 0).sum())
+    jax.effects_barrier()
+    assert 0 < own < 30 and 2 * own <= len(seen) < 2 * (own + len(images) // 8)
+
+
+@pytest.mark.parametrize(
+    ("shares", "message"),
+    [
+        ({"phone": 0.5}, "sum to 1"),
+        ({"phone": 1.5, "awgn": -0.5}, "0 or more"),
+        ({"fone": 1.0}, "no recipe named 'fone'"),
+        ({"phone": 0.5, RECIPES["phone"](): 0.5}, "two recipes of a mixture are named 'phone'"),
+        ({Recipe(Chain((stage("srgb_eotf"),), "linear"), {}): 1.0}, "not photographs"),
+        ({}, "a share for each"),
+        (["phone"], "shares by recipe"),
+    ],
+    ids=str,
+)
+def test_mixtures_that_are_refused(shares, message):
+    with pytest.raises(InputError, match=message):
+        mix(shares)
