@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp import Chain, InputError, Recipe, stage
+from jaxisp import Chain, InputError, Recipe, run, stage
 from jaxisp.domains import EncodedRGB
 from jaxisp.params import Leaf, param, parameters
+from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
-from jaxisp.recipes import RECIPES, mix
+from jaxisp.recipes import RECIPES, any_phase, find_recipe, mix
 from jaxisp.testing import smooth_image
 
 KEY = jax.random.key(7)
@@ -228,3 +229,41 @@ def test_a_mixture_runs_no_recipe_for_the_images_of_another():
 def test_mixtures_that_are_refused(shares, message):
     with pytest.raises(InputError, match=message):
         mix(shares)
+
+
+@pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_a_phase_is_the_pattern_seen_from_there(phase):
+    """Against the static pattern, named by hand; within borders, where either reflects otherwise."""
+    seen = {(0, 0): "GRBG", (0, 1): "RGGB", (1, 0): "BGGR", (1, 1): "GBRG"}[phase]
+    image = np.random.default_rng(1).random((21, 24, 3), np.float32)
+
+    def sensor(cfa):
+        return Chain((stage("mosaic", cfa=cfa), stage("demosaic_malvar", cfa=cfa)))
+
+    node = AnyPhase(sensor("GRBG"))
+    got = run(node, {"cfa_phase": CfaPhase(row=np.float32(phase[0]), column=np.float32(phase[1]))}, image)
+    np.testing.assert_allclose(got[4:-4, 4:-4], run(sensor(seen), {}, image)[4:-4, 4:-4], atol=1e-6)
+    assert got.shape == image.shape
+
+
+def test_phases_are_drawn_for_each_image():
+    recipe = find_recipe("phone-bilinear-phases")
+    assert recipe == any_phase(RECIPES["phone-bilinear"]()) and recipe != RECIPES["phone-bilinear"]()
+    assert Recipe.from_toml(recipe.to_toml()) == recipe
+    quiet = recipe.override(shot_read_noise={"shot": 0.0, "read": 0.0})
+    # red light alone: with no noise, the photosites that see it are those of the drawn phase
+    red = np.zeros((32, 8, 8, 3), np.float32)
+    red[..., 0] = np.random.default_rng(0).random((32, 8, 8))
+    noisy, _, params = quiet.degrade(KEY, red)
+    row, column = (np.asarray(v) > 0.5 for v in (params["cfa_phase"].row, params["cfa_phase"].column))
+    assert len(set(zip(row, column))) == 4
+    for i in range(32):
+        # GRBG: red is in the cell's first row, second column
+        y, x = int(row[i]) % 2, int(1 - column[i]) % 2
+        at = (i, slice(2 + y, 6, 2), slice(2 + x, 6, 2), 0)
+        np.testing.assert_allclose(noisy[at], red[at], atol=3e-3)
+    np.testing.assert_array_equal(quiet.repeat(KEY, params, red), noisy)
+    edited = recipe.without("sensor_clip").insert(stage("black_level"), before="shot_read_noise")
+    assert names(edited.chain)[1:4] == ["mosaic", "black_level", "shot_read_noise"]
+    with pytest.raises(InputError, match="has no mosaic"):
+        find_recipe("awgn-phases")
