@@ -33,7 +33,7 @@ WHICH = "recipe"
 Branches = tuple[tuple[str, Chain], ...]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Mixture:
     """Recipes by name, and the share of the images that each is for. Make it with `jaxisp.recipes.mix`."""
 
@@ -54,6 +54,9 @@ class Mixture:
             raise InputError(
                 f"shares of a mixture must be 0 or more and sum to 1, got {', '.join(map(str, self.shares))}"
             )
+
+    def __repr__(self) -> str:
+        return f"mix({dict(zip(self.recipes, self.shares))})"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -77,6 +77,16 @@ class Node:
         """Rows of the largest blocks that its stages work in."""
         return max((locality(s.fn).block for s in self.stages()), default=CELL)
 
+    def __repr__(self) -> str:
+        from jaxisp.shown import node_text
+
+        return node_text(self)
+
+    def _repr_html_(self) -> str:
+        from jaxisp.shown import node_html
+
+        return node_html(self)
+
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""
         if self.stochastic and key is None:
@@ -85,7 +95,7 @@ class Node:
         return self.apply(*alike((params, image, key)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stage(Node):
     """A stage function with its static options bound and a name. Build it with `stage`."""
 

@@ -20,7 +20,7 @@ class CfaPhase:
     column: Leaf = param(0.0, (0.0, 1.0), "switch", doc="at the cell's second column above 0.5")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AnyPhase(Node):
     """What runs from a mosaic to demosaicking, with the pattern shifted by `params[NAME]`, a `CfaPhase`.
 

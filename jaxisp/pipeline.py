@@ -34,7 +34,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Row(Node):
     """What nodes in a row have in common, in whatever order they run."""
 
@@ -68,7 +68,7 @@ class Row(Node):
         return {name: value for node in self.nodes for name, value in node.init().items()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Chain(Row):
     """Stages one after another; itself a stage. Keys are folded in by stage name, so leaving one
     stage out keeps the others' noise bit-identical."""
@@ -132,7 +132,7 @@ class Switch:
     on: Leaf = param(1.0, (0.0, 1.0), "switch", doc="on above 0.5")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Gate(Node):
     """A node that a traced switch turns on and off without a retrace.
 
@@ -185,7 +185,7 @@ class Order:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Shuffle(Row):
     """Nodes that run in a traced order, `params[NAME].priority` ascending, without a retrace.
 

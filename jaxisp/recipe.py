@@ -32,7 +32,7 @@ LAST_INDEX = 2**31 - 1
 _SIZE = (64, 64)  # of the picture that a recipe is tried on
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Recipe:
     """A pipeline, what its parameters are drawn from, and what it is for.
 
@@ -79,6 +79,16 @@ class Recipe:
 
     def __hash__(self) -> int:
         return hash(self._text)
+
+    def __repr__(self) -> str:
+        from jaxisp.shown import recipe_text
+
+        return recipe_text(self)
+
+    def _repr_html_(self) -> str:
+        from jaxisp.shown import recipe_html
+
+        return recipe_html(self)
 
     def override(self, **stages: dict[str, Any]) -> "Recipe":
         """The recipe with some parameters drawn otherwise, or other static options; all others stay.

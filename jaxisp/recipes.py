@@ -118,8 +118,8 @@ def phone_any() -> Recipe:
 def any_phase(recipe: Recipe) -> Recipe:
     """A recipe whose mosaic begins at any photosite of its pattern's cell, drawn for each image.
 
-    All four patterns are seen, as in the training code of Jaroensri et al. 2019. Nothing is compiled anew for a
-    phase. The recipe's name gets the ending `-phases`.
+    All four patterns are seen, as in the training code of Jaroensri et al. 2019. Nothing is compiled anew
+    for a phase. The name of the recipe gets the ending `-phases`.
 
     Raises:
         InputError: the recipe has no mosaic, or does not demosaick it.
