@@ -91,9 +91,7 @@ def _new(node: Any, edit: Edit) -> tuple[Node, ...]:
 
 def _gated(node: Any) -> str | None:
     """The name of the node that a gate holds."""
-    from jaxisp.pipeline import Gate
-
-    return node.node.name if isinstance(node, Gate) else None
+    return getattr(getattr(node, "node", None), "name", None)
 
 
 def _all(node: Any) -> Iterator[str]:

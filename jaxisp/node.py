@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp import shown
 from jaxisp.arrays.varying import alike
 from jaxisp.domains import Domain
 from jaxisp.options import check_option
@@ -78,14 +79,10 @@ class Node:
         return max((locality(s.fn).block for s in self.stages()), default=CELL)
 
     def __repr__(self) -> str:
-        from jaxisp.shown import node_text
-
-        return node_text(self)
+        return shown.node_text(self)
 
     def _repr_html_(self) -> str:
-        from jaxisp.shown import node_html
-
-        return node_html(self)
+        return shown.node_html(self)
 
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""

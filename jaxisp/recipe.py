@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
+from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, meant, one_line
@@ -81,14 +82,10 @@ class Recipe:
         return hash(self._text)
 
     def __repr__(self) -> str:
-        from jaxisp.shown import recipe_text
-
-        return recipe_text(self)
+        return shown.recipe_text(self)
 
     def _repr_html_(self) -> str:
-        from jaxisp.shown import recipe_html
-
-        return recipe_html(self)
+        return shown.recipe_html(self)
 
     def override(self, **stages: dict[str, Any]) -> "Recipe":
         """The recipe with some parameters drawn otherwise, or other static options; all others stay.

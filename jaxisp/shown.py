@@ -1,5 +1,6 @@
 """Pipelines, parameters and recipes as they show themselves: a few lines of text, or a table of HTML."""
 
+import dataclasses
 import html
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
@@ -9,7 +10,6 @@ import jax
 import numpy as np
 
 from jaxisp.params import specs
-from jaxisp.priors import arguments, is_distribution
 
 WIDTH = 100
 """Columns of the text."""
@@ -20,8 +20,10 @@ def value_text(value: Any) -> str:
     """A parameter's value: a number, a distribution, or what there is to say of an array."""
     if isinstance(value, jax.core.Tracer):
         return f"traced{list(value.shape)}"
-    if is_distribution(value):
-        return f"{type(value).__name__}({', '.join(map(value_text, arguments(value)))})"
+    if dataclasses.is_dataclass(value):  # a distribution
+        given = [getattr(value, field.name) for field in dataclasses.fields(value) if field.init]
+        numbers = given[0] if isinstance(given[0], tuple) else given
+        return f"{type(value).__name__}({', '.join(map(value_text, numbers))})"
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -49,9 +51,7 @@ def params_html(params: Any) -> str:
 
 def node_text(node: Any) -> str:
     """A stage as it is made, or a line for each stage of a pipeline."""
-    from jaxisp.node import Stage
-
-    if isinstance(node, Stage):
+    if _is_stage(node):
         named = [f"name={node.name!r}"] if node.name != node.fn.__name__ else []
         return f"stage({', '.join([repr(node.fn.__name__), *named, *_options(node)])})"
     head = f"{type(node).__name__} {node.name!r}: {node.domain_in.name} -> {node.domain_out.name}"
@@ -79,10 +79,8 @@ def recipe_html(recipe: Any) -> str:
 
 
 def _stages_html(title: str, chain: Any, values: dict[str, Any]) -> str:
-    from jaxisp.node import Stage
-
     rows: list[Sequence[str]] = []
-    for depth, node in [(0, chain)] if isinstance(chain, Stage) else _within(chain):
+    for depth, node in [(0, chain)] if _is_stage(chain) else _within(chain):
         own = values.get(node.name)
         about: list[Any] = list(_about(own)) if own is not None else []
         for i, (name, *rest) in enumerate(about or [("", "", "", "", "")]):
@@ -105,10 +103,12 @@ def _within(node: Any, depth: int = 0) -> Iterator[tuple[int, Any]]:
         yield from _within(inner, depth + 1)
 
 
-def _options(node: Any) -> list[str]:
-    from jaxisp.node import Stage
+def _is_stage(node: Any) -> bool:
+    return hasattr(node, "fn")  # nodes are defined above this module
 
-    if not isinstance(node, Stage):
+
+def _options(node: Any) -> list[str]:
+    if not _is_stage(node):
         return [f"({type(node).__name__})"]
     return [f"{name}={textwrap.shorten(repr(value), 40)}" for name, value in node.static]
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from jaxisp import Chain, InputError, Recipe, run, stage
 from jaxisp.domains import EncodedRGB
@@ -267,3 +268,22 @@ def test_phases_are_drawn_for_each_image():
     assert names(edited.chain)[1:4] == ["mosaic", "black_level", "shot_read_noise"]
     with pytest.raises(InputError, match="has no mosaic"):
         find_recipe("awgn-phases")
+
+
+def test_a_mixture_over_devices():
+    """In a user's own `shard_map`, and on a mesh of explicit axes: the same bits as on one device."""
+    images = np.concatenate([IMAGES] * 2)
+    mixture = mix({"amwgn": 0.5, "clean": 0.5})
+    alone = np.asarray(mixture.degrade(KEY, images)[0])
+    devices, rows = np.array(jax.devices()[:2]), PartitionSpec("batch")
+    if len(devices) < 2:
+        pytest.skip("one device")
+
+    def own(images, indices):
+        return mixture.degrade(KEY, images, indices)[0]
+
+    plain = jax.jit(jax.shard_map(own, mesh=Mesh(devices, ("batch",)), in_specs=(rows, rows), out_specs=rows))
+    np.testing.assert_array_equal(plain(images, np.arange(8, dtype=np.int32)), alone)
+    mesh = Mesh(devices, ("batch",), axis_types=(AxisType.Explicit,))
+    spread = jax.device_put(images, NamedSharding(mesh, rows))
+    np.testing.assert_array_equal(mixture.degrade(KEY, spread)[0], alone)
