@@ -20,7 +20,7 @@ def insert(chain: C, nodes: tuple[Node, ...], before: str | None, after: str | N
     """The chain with nodes beside the one of a name."""
     if (before is None) == (after is None) or not nodes:
         raise InputError(
-            f"{chain.name}: insert takes stages and either before= or after=, the name of a stage"
+            f"{chain.name!r}: insert takes stages and either before= or after=, the name of a stage"
         )
     name = before if before is not None else after
     assert name is not None

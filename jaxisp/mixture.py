@@ -47,7 +47,11 @@ class Mixture:
                     f"a recipe in a mixture may not be named {WHICH!r}: name its chain otherwise"
                 )
             check_photographs(recipe)
-        given = np.asarray(self.shares, np.float64)
+        try:
+            given = np.asarray([float(share) for share in self.shares])
+        except (TypeError, ValueError):
+            raise InputError(f"shares of a mixture must be numbers, got {self.shares!r}") from None
+        object.__setattr__(self, "shares", tuple(given.tolist()))
         if given.shape != (len(self.recipes),) or not len(given):
             raise InputError(f"a mixture takes a share for each of its recipes, got {self.shares!r}")
         if not (np.isfinite(given).all() and (given >= 0).all() and abs(given.sum() - 1) < 1e-6):

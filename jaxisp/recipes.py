@@ -187,6 +187,8 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
         )
     recipes: dict[str, Recipe] = {}
     for given in shares:
+        if not isinstance(given, str | Recipe):
+            raise InputError(f"mix takes recipes or their names, got {short(given)}")
         recipe = given if isinstance(given, Recipe) else _clean() if given == "clean" else find_recipe(given)
         if recipe.name in recipes:
             raise InputError(
