@@ -10,6 +10,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
+    "AnyPhase": "jaxisp.phase",
     "Chain": "jaxisp.pipeline",
     "Gate": "jaxisp.pipeline",
     "Shuffle": "jaxisp.pipeline",

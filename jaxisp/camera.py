@@ -14,6 +14,7 @@ import numpy as np
 from jaxisp.cfa import is_xtrans, size
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
+from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, run_in_strips, signature, stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe, check_traces
@@ -56,7 +57,7 @@ def with_cfa(node: Node, cfa: str) -> Node:
         if "cfa" not in dict(signature(node.fn).static):
             return node
         return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
-    if isinstance(node, Gate):
+    if isinstance(node, Gate | AnyPhase):
         return dataclasses.replace(node, node=with_cfa(node.node, cfa))
     assert isinstance(node, Row)
     return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))

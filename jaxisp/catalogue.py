@@ -1,5 +1,6 @@
 """What there is, as plain tables: stages and recipes for listings and documentation."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,50 @@ def _describe(name: str) -> dict[str, Any]:
         "gradient": text.get("Gradient", ""),
         "source": text.get("Source", ""),
     }
+
+
+GROUPS = {
+    "optics": "lens and light",
+    "noise": "light, readout and film",
+    "sensor": "sensor and mosaic",
+    "demosaic": "demosaicking",
+    "denoise": "denoising",
+    "detail": "sharpening, scaling and blocks",
+    "color": "colour and white balance",
+    "tone": "tone and transfer curves",
+    "file": "compression and rounding",
+    "own": "registered by others",
+}
+"""Groups of stages, in the order of a camera, and what they are."""
+_GROUP_OF_MODULE = {
+    "optics": "optics", "blur": "optics",
+    "noise": "noise", "balanced_noise": "noise", "draws": "noise",
+    "sensor": "sensor", "defects": "sensor", "choice": "demosaic", "demosaic": "demosaic",
+    "denoise": "denoise", "smoothing": "denoise",
+    "detail": "detail", "resampling": "detail",
+    "balance": "color", "spaces": "color", "look": "color",
+    "power": "tone", "tone": "tone", "transfer": "tone", "auto": "tone",
+    "jpeg": "file", "jpeg_file": "file", "rounding": "file",
+}  # fmt: skip
+
+_GROUP_OF_STAGE = {
+    "chroma_subsampling": "file", "earlier_compression": "file", "directional_blur": "optics",
+    "sharpening": "detail", "local_tone_mapping": "tone", "spline_curve": "tone",
+}  # fmt: skip
+"""Of stages that stand in a module for how they are computed, not for what they do."""
+
+
+def group_of(name: str) -> str:
+    """The group of a registered stage."""
+    package, _, module = STAGES[name].__module__.partition("jaxisp.stages.")
+    if package:
+        return "own"
+    return _GROUP_OF_STAGE.get(name) or _GROUP_OF_MODULE[module.partition(".")[0]]
+
+
+def first_sentence(text: str) -> str:
+    """What a summary begins with, without the full stop."""
+    return re.split(r"\.\s+(?=[A-Z])", text)[0].rstrip(".")
 
 
 def describe_recipes() -> list[dict[str, Any]]:

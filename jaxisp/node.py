@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp import shown
 from jaxisp.arrays.dtypes import given_and_exact, in_dtype
 from jaxisp.arrays.varying import alike
 from jaxisp.domains import Domain
@@ -80,6 +81,12 @@ class Node:
         """Rows after which all blocks that its stages work in begin together."""
         return math.lcm(CELL, *(s.block for s in self.stages()))
 
+    def __repr__(self) -> str:
+        return shown.node_text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.node_html(self)
+
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here."""
         if self.stochastic and key is None:
@@ -88,7 +95,7 @@ class Node:
         return self.apply(*alike((params, image, key)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stage(Node):
     """A stage function with its static options bound and a name. Build it with `stage`.
 

@@ -74,11 +74,26 @@ def param(
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(dataclasses.field,))
 def parameters(cls: type[T]) -> type[T]:
     """Make a class of `param` fields a frozen, keyword-only dataclass and a JAX pytree."""
-    cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False)(cls)
+    cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         if "spec" not in field.metadata:
             raise TypeError(f"{cls.__name__}.{field.name}: declare it with param(...)")
+    if "__repr__" not in vars(cls):
+        cls.__repr__ = _text  # type: ignore[method-assign]
+    cls._repr_html_ = _html  # type: ignore[attr-defined]
     return jax.tree_util.register_dataclass(cls)
+
+
+def _text(params: Any) -> str:
+    from jaxisp.shown import params_text
+
+    return params_text(params)
+
+
+def _html(params: Any) -> str:
+    from jaxisp.shown import params_html
+
+    return params_html(params)
 
 
 def specs(cls: type) -> dict[str, Spec]:

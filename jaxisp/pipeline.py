@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 
+from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
@@ -29,11 +30,11 @@ from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, section
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
     "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_keys", "sections", "signature",
-    "stage",
+    "spread", "stage",
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Row(Node):
     """What nodes in a row have in common, in whatever order they run."""
 
@@ -67,7 +68,7 @@ class Row(Node):
         return {name: value for node in self.nodes for name, value in node.init().items()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Chain(Row):
     """Stages one after another; itself a stage. Keys are folded in by stage name, so leaving one
     stage out keeps the others' noise bit-identical."""
@@ -97,14 +98,31 @@ class Chain(Row):
                 image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
         return image
 
+    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Chain":
+        """This chain with nodes before or after the one of a name, at any depth.
+
+        Raises:
+            InputError: there is none of that name. ValueError, TypeError: as where a chain is built.
+        """
+        return edits.insert(self, nodes, before, after)
+
+    def replace(self, name: str, node: Node) -> "Chain":
+        """This chain with another node in the place of the one of that name. Raises what `insert` does."""
+        return edits.replace(self, name, node)
+
     def without(self, *names: str) -> "Chain":
-        """This chain less the nodes of those names (a static switch, as for an ablation)."""
-        missing = set(names) - {n.name for n in self.nodes}
-        if missing:
-            raise KeyError(
-                f"{self.name} has no node {sorted(missing)}; it has {[n.name for n in self.nodes]}"
-            )
-        return Chain(tuple(n for n in self.nodes if n.name not in names), self.name)
+        """This chain less the nodes of those names (a static switch, as for an ablation).
+
+        Raises what `insert` does.
+        """
+        return edits.without(self, *names)
+
+    def override(self, **options: dict[str, Any]) -> "Chain":
+        """This chain with other static options: `chain.override(median={"footprint": "cross"})`.
+
+        Raises what `insert` does, and what `stage` does.
+        """
+        return edits.with_options(self, options)
 
 
 @parameters
@@ -114,7 +132,7 @@ class Switch:
     on: Leaf = param(1.0, (0.0, 1.0), "switch", doc="on above 0.5")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Gate(Node):
     """A node that a traced switch turns on and off without a retrace.
 
@@ -167,7 +185,7 @@ class Order:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Shuffle(Row):
     """Nodes that run in a traced order, `params[NAME].priority` ascending, without a retrace.
 
@@ -353,9 +371,9 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     if 0 in images.shape[1:]:
         raise ValueError(f"{node.name}: pictures without pixels, of shape {images.shape[1:]}")
     axes = batch_axes(params)
-    spread = spread_over(images)
-    if spread is not None:
-        return _spread(spread, functools.partial(over_batch, node), axes, params, images, keys)
+    mesh = spread_over(images)
+    if mesh is not None:
+        return spread(mesh, functools.partial(over_batch, node), axes, params, images, keys)
 
     def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         return node(params, image, key=key)
@@ -386,7 +404,7 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
 
 
-def _spread(
+def spread(
     mesh: jax.sharding.AbstractMesh,
     fn: Callable[..., jax.Array],
     axes: Any,

@@ -1,11 +1,13 @@
 """Priors: a params-shaped tree whose leaves are distributions, or numbers where nothing is drawn.
 
 A distribution that is none (a std of 0, low above high) raises InputError when it is made. Draws are float32,
-and the same whatever `jax_enable_x64` says.
+and the same whatever `jax_enable_x64` says. Distributions are pytrees of their numbers: those of a schedule
+may be traced, and then nothing is checked.
 """
 
 import dataclasses
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +28,7 @@ class Uniform:
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, self.low <= self.high, "low is above high")
+        _require(self, lambda: self.low <= self.high, "low is above high")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         return jax.random.uniform(key, shape, jnp.float32, self.low, self.high)
@@ -42,14 +44,18 @@ class LogUniform:
 
     low: float
     high: float
+    # taken on the host: a compiler takes the logarithm of a constant otherwise than that of a variable
+    _logs: tuple[Any, Any] = dataclasses.field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, self.low > 0, "low must be positive")
-        _require(self, self.low <= self.high, "low is above high")
+        _require(self, lambda: self.low > 0, "low must be positive")
+        _require(self, lambda: self.low <= self.high, "low is above high")
+        log = jnp.log if is_traced(self) else np.log
+        object.__setattr__(self, "_logs", (log(self.low), log(self.high)))
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        drawn = jax.random.uniform(key, shape, jnp.float32, np.log(self.low), np.log(self.high))
+        drawn = jax.random.uniform(key, shape, jnp.float32, *self._logs)
         return jnp.clip(jnp.exp(drawn), self.low, self.high)
 
     @property
@@ -70,13 +76,19 @@ class PowerUniform:
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, self.low <= self.high, "low is above high")
-        _require(self, self.exponent > 0, "the exponent must be positive")
-        whole = self.low >= 0 or float(self.exponent).is_integer()
-        _require(self, whole, "a negative low needs a whole exponent")
+        _require(self, lambda: self.low <= self.high, "low is above high")
+        _require(self, lambda: self.exponent > 0, "the exponent must be positive")
+        _require(
+            self,
+            lambda: self.low >= 0 or float(self.exponent).is_integer(),
+            "a negative low needs a whole exponent",
+        )
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.uniform(key, shape, jnp.float32, self.low, self.high) ** self.exponent
+        drawn = jax.random.uniform(key, shape, jnp.float32, self.low, self.high)
+        exponent = jnp.asarray(self.exponent, jnp.float32)
+        # a power is a few ulp off, and variances are squares
+        return jnp.where(exponent == 2, drawn * drawn, drawn**exponent)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -97,12 +109,15 @@ class Normal:
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, self.std > 0, "std must be positive")
-        _require(self, self.low <= self.high, "low is above high")
+        _require(self, lambda: self.std > 0, "std must be positive")
+        _require(self, lambda: self.low <= self.high, "low is above high")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        a, b = (self.low - self.mean) / self.std, (self.high - self.mean) / self.std
-        return self.mean + self.std * jax.random.truncated_normal(key, a, b, shape, jnp.float32)
+        mean, std, low, high = (
+            jnp.asarray(n, jnp.float32) for n in (self.mean, self.std, self.low, self.high)
+        )
+        a, b = (low - mean) / std, (high - mean) / std
+        return mean + std * jax.random.truncated_normal(key, a, b, shape, jnp.float32)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -117,10 +132,10 @@ class Bernoulli:
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, 0 <= self.p <= 1, "p must be from 0 to 1")
+        _require(self, lambda: 0 <= self.p <= 1, "p must be from 0 to 1")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return jax.random.bernoulli(key, jnp.float32(self.p), shape).astype(jnp.float32)
+        return jax.random.bernoulli(key, jnp.asarray(self.p, jnp.float32), shape).astype(jnp.float32)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -135,7 +150,7 @@ class Choice:
 
     def __post_init__(self) -> None:
         _numbers(self)
-        _require(self, len(self.values) > 0, "there must be a value")
+        _require(self, lambda: len(self.values) > 0, "there must be a value")
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         # not jax.random.choice, whose draws depend on jax_enable_x64
@@ -158,28 +173,64 @@ DISTRIBUTIONS: dict[str, type] = {
 }
 
 
-def _number(given: Any) -> float:
+def _register(law: type) -> None:
+    """Make a distribution a pytree of its numbers, in float32: other numbers are no other program."""
+    names = [field.name for field in dataclasses.fields(law)]
+
+    def flatten(own: Any) -> tuple[tuple[Any, ...], None]:
+        return tuple(jax.tree.map(_leaf, getattr(own, name)) for name in names), None
+
+    def unflatten(_: None, numbers: Any) -> Any:
+        own: Any = object.__new__(law)  # unchecked: JAX puts anything where the numbers were
+        for name, number in zip(names, numbers):
+            object.__setattr__(own, name, number)
+        return own
+
+    jax.tree_util.register_pytree_node(law, flatten, unflatten)
+
+
+def _leaf(number: Any) -> Any:
+    return np.float32(number) if isinstance(number, int | float | np.generic) else number
+
+
+for _law in DISTRIBUTIONS.values():
+    _register(_law)
+
+
+def arguments(law: Any) -> tuple[Any, ...]:
+    """The numbers that a distribution was made of, those of a choice one by one."""
+    if isinstance(law, Choice):
+        return law.values
+    return tuple(getattr(law, field.name) for field in dataclasses.fields(law) if field.init)
+
+
+def is_traced(tree: Any) -> bool:
+    """Whether a number of a prior is traced."""
+    numbers = arguments(tree) if is_distribution(tree) else jax.tree.leaves(tree)
+    return any(isinstance(number, jax.core.Tracer) for number in numbers)
+
+
+def _number(given: Any) -> Any:
+    if isinstance(given, jax.core.Tracer) and given.shape == ():
+        return given
     return given if type(given) in (int, float) else float(given)
 
 
 def _numbers(law: Any) -> None:
-    """Make a distribution's numbers Python's; raise InputError, in words, where they are none."""
+    """Make a distribution's numbers Python's, but for traced ones; raise InputError where they are none."""
     for field in dataclasses.fields(law):
+        if not field.init:
+            continue
         given = getattr(law, field.name)
         try:
             number = tuple(map(_number, given)) if field.name == "values" else _number(given)
-        except jax.errors.ConcretizationTypeError:
-            kind = type(law).__name__
-            raise InputError(
-                f"{kind}.{field.name} is traced, but a prior is part of the program: make it outside of jit"
-            ) from None
         except (TypeError, ValueError):
             raise InputError(f"{type(law).__name__}.{field.name} must be a number, got {given!r}") from None
         object.__setattr__(law, field.name, number)
 
 
-def _require(law: Any, fine: bool, what: str) -> None:
-    if not fine:
+def _require(law: Any, fine: Callable[[], bool], what: str) -> None:
+    if not is_traced(law) and not fine():
         raise InputError(f"{law}: {what}")
 
 
@@ -189,13 +240,18 @@ def is_distribution(value: Any) -> bool:
 
 
 def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
-    """Return `prior`; raise InputError where a distribution can draw what is out of bounds."""
+    """Return `prior`; raise InputError where a distribution can draw what is out of bounds.
+
+    Of traced numbers nothing is known.
+    """
     for stage, tree in prior.items():
         for field, spec in specs(type(tree)).items():
             value = getattr(tree, field)
             path = f"{stage}.{field}"
             if not is_distribution(value):
                 _check_constant(path, spec, value)
+            if is_traced(value):
+                continue
             low, high = value.support if is_distribution(value) else (np.min(value), np.max(value))
             tolerance = 1e-6 * (spec.bounds[1] - spec.bounds[0])
             if not (spec.bounds[0] - tolerance <= low <= high <= spec.bounds[1] + tolerance):
@@ -208,9 +264,7 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
 def _check_constant(path: str, spec: Spec, value: Any) -> None:
     """Raise InputError where a leaf of a prior is neither a distribution nor numbers of the right shape."""
     try:
-        array = np.asarray(value, np.float32)
-    except jax.errors.ConcretizationTypeError:
-        raise InputError(f"{path} is traced, but a prior is part of the program") from None
+        array = value if isinstance(value, jax.core.Tracer) else np.asarray(value, np.float32)
     except (TypeError, ValueError):
         raise InputError(f"{path}: {value!r} is neither a number nor a distribution") from None
     if array.size == 0:

@@ -11,12 +11,13 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 
+from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.errors import InputError, meant, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
-from jaxisp.params import specs
-from jaxisp.pipeline import Chain, Node, over_batch, sample_keys
+from jaxisp.params import specs, strong
+from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signature
 from jaxisp.priors import check_prior, draw
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
@@ -32,11 +33,13 @@ LAST_INDEX = 2**31 - 1
 _SIZE = (64, 64)  # of the picture that a recipe is tried on
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Recipe:
     """A pipeline, what its parameters are drawn from, and what it is for.
 
-    Two recipes are equal where their TOML and the functions of their stages are, and then share one compile.
+    Two recipes are equal where their TOML and the functions of their stages are. Recipes of equal chains
+    share one compile if their priors are of the same kinds: numbers are traced. A recipe is a pytree of
+    these numbers, so that a jitted function takes one as an argument.
     """
 
     chain: Chain
@@ -78,26 +81,73 @@ class Recipe:
     def __hash__(self) -> int:
         return hash(self._text)
 
+    def __repr__(self) -> str:
+        return shown.recipe_text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.recipe_html(self)
+
     def override(self, **stages: dict[str, Any]) -> "Recipe":
-        """The recipe with some parameters drawn otherwise; all others stay.
+        """The recipe with some parameters drawn otherwise, or other static options; all others stay.
 
         `recipe.override(shot_read_noise={"read": Uniform(0.0, 0.05)})`; a number is not drawn.
 
         Raises:
-            InputError: there is no such stage or parameter, or it may not be what is given.
+            InputError: there is no such stage, parameter or option, or it may not be what is given.
         """
-        changed = {}
+        changed, options = {}, {}
+        has = {s.name: dict(signature(s.fn).static) for s in self.chain.stages()}
+        has = {name: has.get(name, {}) for name in {**has, **self.prior}}
         for name, values in stages.items():
-            if name not in self.prior:
-                hint = meant(name, self.prior) or f"; it has {sorted(self.prior)}"
+            if name not in has:
+                hint = meant(name, has) or f"; it has {sorted(has)}"
                 raise InputError(f"recipe {self.name!r} has no stage {name}{hint}")
-            known = specs(type(self.prior[name]))
-            if not isinstance(values, dict) or set(values) - set(known):
+            known = specs(type(self.prior[name])) if name in self.prior else {}
+            if not isinstance(values, dict) or set(values) - {*known, *has[name]}:
+                also = f" and the options {sorted(has[name])}" if has[name] else ""
                 raise InputError(
-                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}, got {short(values)}"
+                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}{also}, got {short(values)}"
                 )
-            changed[name] = dataclasses.replace(self.prior[name], **values)
-        return dataclasses.replace(self, prior=changed)
+            if drawn := {n: v for n, v in values.items() if n in known}:
+                changed[name] = dataclasses.replace(self.prior[name], **drawn)
+            if static := {n: v for n, v in values.items() if n not in known}:
+                options[name] = static
+        chain = self.chain.override(**options) if options else self.chain
+        return dataclasses.replace(self, chain=chain, prior=changed)
+
+    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Recipe":
+        """The recipe with stages before or after the one of a name; their parameters are the defaults.
+
+        `recipe.insert(stage("vignetting"), before="mosaic").override(vignetting={...})`
+
+        Raises:
+            InputError: there is no stage of that name. ValueError, TypeError: as where a chain is built.
+        """
+        return self._with(self.chain.insert(*nodes, before=before, after=after))
+
+    def replace(self, name: str, node: Node) -> "Recipe":
+        """The recipe with another stage in the place of one. Raises what `insert` does.
+
+        Where name and class of the parameters are the same, they stay; else they are the defaults.
+        """
+        return self._with(self.chain.replace(name, node))
+
+    def without(self, *names: str) -> "Recipe":
+        """The recipe less the stages of those names; the others' draws and noise stay to the bit.
+
+        Raises what `insert` does.
+        """
+        return self._with(self.chain.without(*names))
+
+    def _with(self, chain: Chain) -> "Recipe":
+        sizes = {name: np.shape(v.priority) for name, v in chain.init().items() if isinstance(v, Order)}
+        # constant priorities of fewer or more nodes say nothing of the order now
+        kept = {
+            name: own
+            for name, own in self.prior.items()
+            if not isinstance(own, Order) or np.shape(own.priority) in ((), sizes.get(name))
+        }
+        return dataclasses.replace(self, chain=chain, prior={}, _before=kept)
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
         """One draw of the parameters."""
@@ -123,26 +173,15 @@ class Recipe:
                 known of traced ones); they have no pixels; or there is no such index.
         """
         check_backend()
-        return _degrade(self, *self._taken(key, images, start))
+        return _degrade(self.chain, strong(self.prior), *taken(f"recipe {self.name!r}", key, images, start))
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
 
         Takes and raises what `degrade` does.
         """
-        key, images, start = self._taken(key, images, start)
-        return _repeat(self, key, params, images, start)
-
-    def _taken(self, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
-        """Key, images and start as they are computed with, checked as far as the host knows them."""
-        shape = jnp.shape(images)
-        if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-            got = f"{jnp.result_type(images)}{shape}"
-            raise TypeError(f"recipe {self.name!r} takes (N, H, W, 3) floats in [0, 1], got {got}")
-        if not isinstance(key, jax.Array | np.ndarray):
-            raise TypeError(f"recipe {self.name!r} takes a JAX key, as jax.random.key(0), got {key!r}")
-        check_levels(images, f"recipe {self.name!r}")
-        return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
+        key, images, start = taken(f"recipe {self.name!r}", key, images, start)
+        return _repeat(self.chain, key, params, images, start)
 
     def to_toml(self) -> str:
         """The recipe as TOML; `from_toml` reads it back equal."""
@@ -182,6 +221,18 @@ class Recipe:
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
         return cls._from_table(read_toml(path), str(path))
+
+
+def taken(who: str, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
+    """Key, images and start as they are computed with, checked as far as the host knows them."""
+    shape = jnp.shape(images)
+    if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
+        got = f"{jnp.result_type(images)}{shape}"
+        raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
+    if not isinstance(key, jax.Array | np.ndarray):
+        raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
+    check_levels(images, who)
+    return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
 
 def check_levels(images: ArrayLike, who: str) -> None:
@@ -270,7 +321,7 @@ def _indices(start: Any, count: int) -> Any:
     return given.astype(np.int32)
 
 
-def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
+def sample_halves(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
     """Per sample, one key for its parameters and one for its noise."""
     indices = start + jnp.arange(count) if jnp.ndim(start) == 0 else start
     own = sample_keys(key, indices)
@@ -279,15 +330,34 @@ def _keys(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _degrade(recipe: Recipe, key: jax.Array, images: jax.Array, start: Any) -> Degraded:
-    drawing, _ = _keys(key, start, len(images))
+def _degrade(chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any) -> Degraded:
+    drawing, _ = sample_halves(key, start, len(images))
     # stored, or what is drawn would be computed, and rounded, within what uses it
-    params = store(jax.vmap(recipe.draw)(drawing))
+    like = chain.init()
+    params = store(jax.vmap(lambda own: draw(own, prior, like))(drawing))
     # the images leave as a copy: what was given may be overwritten or donated
-    return _repeat(recipe, key, params, images, start), images, params
+    return _repeat(chain, key, params, images, start), images, params
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _repeat(recipe: Recipe, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
-    _, noise = _keys(key, start, len(images))
-    return over_batch(recipe.chain, params, images, noise)
+def _repeat(chain: Chain, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
+    _, noise = sample_halves(key, start, len(images))
+    return over_batch(chain, params, images, noise)
+
+
+def _flatten(recipe: Recipe) -> tuple[tuple[Any, ...], Any]:
+    aux = tuple(recipe.prior), recipe.chain, recipe.description, tomli_w.dumps(recipe.meta)
+    return tuple(recipe.prior.values()), aux
+
+
+def _unflatten(aux: Any, children: Any) -> Recipe:
+    names, chain, description, meta = aux
+    recipe, prior = object.__new__(Recipe), dict(zip(names, children))
+    own = {"chain": chain, "description": description, "meta": parse_toml(meta, "meta")}
+    # unchecked: JAX puts anything where the numbers were
+    for name, value in {**own, "prior": prior, "_before": prior}.items():
+        object.__setattr__(recipe, name, value)
+    return recipe
+
+
+jax.tree_util.register_pytree_node(Recipe, _flatten, _unflatten)

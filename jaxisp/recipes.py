@@ -6,13 +6,18 @@ Where the two disagree (noise), the code's ranges have a recipe of their own, `p
 Work is done in linear light, as there; what goes in and comes out is encoded sRGB.
 """
 
+import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from jaxisp.domains import MOSAIC
 from jaxisp.errors import InputError
+from jaxisp.io.files import short
+from jaxisp.mixture import Mixture
+from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
-from jaxisp.priors import Choice, LogUniform, PowerUniform, Uniform
+from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
@@ -22,6 +27,8 @@ from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
 from jaxisp.stages.sensor import AdcQuantization
 
 CFA = "GRBG"
+PHASES = "-phases"
+"""How the name of a recipe ends whose mosaic begins at any photosite of its cell."""
 PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))
 # Sensors' noise is shot noise but for the darkest tones: phones' calibrated read noise is 0.0001 to 0.007 and
@@ -108,6 +115,27 @@ def phone_any() -> Recipe:
     return _phone("phone-any", text, noise=SHOT_NOISE, always=False)
 
 
+def any_phase(recipe: Recipe) -> Recipe:
+    """A recipe whose mosaic begins at any photosite of its pattern's cell, drawn for each image.
+
+    All four patterns are seen, as in the training code of Jaroensri et al. 2019. Nothing is compiled anew
+    for a phase. The name of the recipe gets the ending `-phases`.
+
+    Raises:
+        InputError: the recipe has no mosaic, or does not demosaick it.
+    """
+    nodes = recipe.chain.nodes
+    first = [i for i, n in enumerate(nodes) if n.domain_in.channels == 3 and n.domain_out == MOSAIC]
+    last = [i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out.channels == 3]
+    if len(first) != 1 or len(last) != 1:
+        raise InputError(f"recipe {recipe.name!r} has no mosaic that it demosaicks, so that it has no phase")
+    inner = AnyPhase(Chain(nodes[first[0] : last[0] + 1], "sensor"))
+    chain = Chain((*nodes[: first[0]], inner, *nodes[last[0] + 1 :]), f"{recipe.name}{PHASES}")
+    prior = recipe.prior | {inner.name: CfaPhase(row=Bernoulli(0.5), column=Bernoulli(0.5))}
+    text = f"{recipe.description}; the mosaic begins at any photosite of its cell"
+    return dataclasses.replace(recipe, chain=chain, prior=prior, description=text)
+
+
 RECIPES: dict[str, Callable[[], Recipe]] = {
     make.__name__.replace("_", "-"): make
     for make in (
@@ -129,12 +157,49 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
 
 
 def find_recipe(name: str) -> Recipe:
-    """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none."""
+    """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none.
+
+    The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
+    """
     if name in RECIPES:
         return RECIPES[name]()
+    if name.removesuffix(PHASES) in RECIPES:
+        return any_phase(RECIPES[name.removesuffix(PHASES)]())
     if not name.endswith(".toml") and not os.path.lexists(name):
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
+
+
+def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
+    """A mixture: each image is degraded by one of several recipes.
+
+    `mix({"phone": 0.6, "awgn": 0.2, "clean": 0.2})`; `clean` leaves an image as it is.
+
+    Args:
+        shares: of the images, by recipe: a built-in name, a TOML file, or a `Recipe`. They sum to 1.
+
+    Raises:
+        InputError: no such recipe, two of one name, one that is not for photographs, or other shares.
+    """
+    if not isinstance(shares, Mapping):
+        raise InputError(
+            f"mix takes shares by recipe, as {{'phone': 0.8, 'clean': 0.2}}, got {short(shares)}"
+        )
+    recipes: dict[str, Recipe] = {}
+    for given in shares:
+        if not isinstance(given, str | Recipe):
+            raise InputError(f"mix takes recipes or their names, got {short(given)}")
+        recipe = given if isinstance(given, Recipe) else _clean() if given == "clean" else find_recipe(given)
+        if recipe.name in recipes:
+            raise InputError(
+                f"two recipes of a mixture are named {recipe.name!r}: name one's chain otherwise"
+            )
+        recipes[recipe.name] = recipe
+    return Mixture(recipes, tuple(shares.values()))
+
+
+def _clean() -> Recipe:
+    return Recipe(Chain((), "clean"), {}, "pictures as they are")
 
 
 def _recipe(name: str, description: str, middle: tuple[Any, ...], prior: dict[str, Any]) -> Recipe:

@@ -1,7 +1,7 @@
 """Pipelines, parameters and priors as plain tables for TOML, and back unchanged.
 
-A node is `{stage = "jpeg", name = "...", options = {...}}`, `{gate = NODE}`, `{shuffle = [NODE, ...]}`
-or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distribution:
+A node is `{stage = "jpeg", name = "...", options = {...}}`, `{gate = NODE}`, `{any_phase = NODE}`,
+`{shuffle = [NODE, ...]}` or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distribution:
 `{log_uniform = [0.01, 0.1]}`. Reading runs no code: stages are looked up in the registry.
 """
 
@@ -17,8 +17,9 @@ from jaxisp.checks import check_params
 from jaxisp.errors import InputError
 from jaxisp.io.files import short
 from jaxisp.params import specs
+from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
-from jaxisp.priors import DISTRIBUTIONS, Choice, check_prior, is_distribution
+from jaxisp.priors import DISTRIBUTIONS, Choice, arguments, check_prior, is_distribution, is_traced
 
 Table = dict[str, Any]
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
@@ -31,6 +32,8 @@ def encode_node(node: Node) -> Table:
         if node.name != node.fn.__name__:
             table["name"] = node.name
         return table | ({"options": {n: _plain(v) for n, v in node.static}} if node.static else {})
+    if isinstance(node, AnyPhase):
+        return {"any_phase": encode_node(node.node), "name": node.name}
     if isinstance(node, Gate):
         return {"gate": encode_node(node.node), "name": node.name}
     assert isinstance(node, Row)
@@ -42,10 +45,10 @@ def decode_node(table: Any) -> Node:
     """The node of a table. Raises InputError where a stage or an option is unknown."""
     if not isinstance(table, dict):
         raise InputError(f"a stage must be a table like {{stage = 'jpeg'}}, got {short(table)}")
-    kinds = [k for k in ("stage", "gate", "shuffle", "chain") if k in table]
-    unknown = set(table) - {"stage", "gate", "shuffle", "chain", "name", "options"}
+    kinds = [k for k in _DECODERS if k in table]
+    unknown = set(table) - {*_DECODERS, "name", "options"}
     if len(kinds) != 1 or unknown:
-        raise InputError(f"a stage must have one of stage, gate, shuffle, chain; got {sorted(table)}")
+        raise InputError(f"a stage must have one of {', '.join(_DECODERS)}; got {sorted(table)}")
     for key, kind, what in (("stage", str, "text"), ("name", str, "text"), ("options", dict, "a table")):
         if key in table and not isinstance(table[key], kind):
             raise InputError(f"{key} must be {what}, got {short(table[key])}")
@@ -70,11 +73,14 @@ _DECODERS: dict[str, Callable[[Table], Node]] = {
     "gate": lambda t: _named(Gate, decode_node(t["gate"]), t),
     "shuffle": lambda t: _named(Shuffle, tuple(map(decode_node, t["shuffle"])), t),
     "chain": lambda t: _named(Chain, tuple(map(decode_node, t["chain"])), t),
+    "any_phase": lambda t: _named(AnyPhase, decode_node(t["any_phase"]), t),
 }
 
 
 def encode_params(tree: dict[str, Any]) -> Table:
-    """Parameters or priors by stage name as tables."""
+    """Parameters or priors by stage name as tables. Raises InputError where a number is traced."""
+    if is_traced(tree):
+        raise InputError("numbers that are traced cannot be written: take the recipe out of jit")
     return {
         name: {f: _encode_leaf(getattr(values, f)) for f in specs(type(values))}
         for name, values in tree.items()
@@ -114,8 +120,7 @@ def _constants(values: Any) -> Any:
 def _encode_leaf(value: Any) -> Any:
     if not is_distribution(value):
         return _plain(np.asarray(value, np.float32))
-    arguments = value.values if isinstance(value, Choice) else dataclasses.astuple(value)
-    return {_KINDS[type(value)]: [float(a) for a in arguments]}
+    return {_KINDS[type(value)]: [float(_plain(a)) for a in arguments(value)]}
 
 
 def _decode_leaf(path: str, value: Any) -> Any:

@@ -77,8 +77,8 @@ def test_one_stage_is_told_whole(capsys):
         "jpeg",
         "median",
     ]
-    status, out, err = run(capsys, "stages", "bilatera")
-    assert (status, out, err) == (2, "", "jaxisp: no stage named 'bilatera'; is it bilateral?\n")
+    status, out, err = run(capsys, "stages", "bilatreal")
+    assert (status, out, err) == (2, "", "jaxisp: no stage named 'bilatreal'; is it bilateral?\n")
 
 
 def test_recipes(capsys):

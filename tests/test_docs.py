@@ -259,3 +259,11 @@ def test_the_readmes_example_runs():
     exec(code.replace("size=(32, 80, 80, 3)", "size=(2, 16, 16, 3)"), names)
     assert names["noisy"].shape == (2, 16, 16, 3)
     np.testing.assert_array_equal(names["again"], names["noisy"])
+
+
+def test_the_page_on_composing_runs():
+    text = (ROOT / "docs/how-to/compose.md").read_text()
+    names: dict[str, object] = {}
+    for code in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        exec(code, names)
+    assert set(names["names"]) <= {"awgn", "amwgn", "clean"}

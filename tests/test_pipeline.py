@@ -10,6 +10,7 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.domains import RGB, EncodedRGB, LinearRGB, Mosaic
+from jaxisp.errors import InputError
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import (
     REGISTRY,
@@ -241,7 +242,7 @@ def test_errors_at_build_name_the_fault():
         Gate(stage(encode))
     with pytest.raises(TypeError, match="params lacks 'gain', a Gain"):
         run(stage(gain), {}, IMAGES[0])
-    with pytest.raises(KeyError, match="no node"):
+    with pytest.raises(InputError, match="has no stage 'sharpen'"):
         CHAIN.without("sharpen")
 
 

@@ -103,12 +103,8 @@ def test_what_is_no_prior():
 
 
 def test_the_numbers_of_a_distribution():
-    @jax.jit
-    def traced(high):
-        return Uniform(0, high).sample(KEY, ())
-
-    with pytest.raises(InputError, match=r"Uniform.high is traced, but a prior is part of the program"):
-        traced(1.0)
+    with pytest.raises(InputError, match=r"Uniform.high must be a number"):
+        jax.jit(lambda high: Uniform(0, high).sample(KEY, ()))(jnp.ones(2))
     with pytest.raises(InputError, match=r"LogUniform.low must be a number, got 'a'"):
         LogUniform("a", 1)
     with pytest.raises(InputError, match=r"Choice.values must be a number"):

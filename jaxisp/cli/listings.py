@@ -12,7 +12,10 @@ def add_commands(commands: Any) -> None:
         commands, "stages", run_stages, "list the stages with their parameters, bounds and units"
     )
     stages.add_argument(
-        "names", nargs="*", metavar="STAGE", help="show options, gradient and source of these stages"
+        "names",
+        nargs="*",
+        metavar="STAGE",
+        help="a stage to show whole, a group to list, or a word to look for in names and summaries",
     )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
     add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
@@ -22,32 +25,45 @@ def run_stages(arguments: Namespace) -> int:
     from jaxisp.catalogue import describe_stages
 
     stages = describe_stages()
-    if arguments.names:
-        stages = [_named(stages, name) for name in arguments.names]
+    found = [_found(stages, name) for name in arguments.names] or [stages]
+    wanted = list({s["name"]: s for own in found for s in own}.values())
     if arguments.json:
-        print_json(stages)
-        return 0
-    if arguments.names:
-        for found in stages:
-            _print_stage(found)
-        return 0
-    rows = [
-        (s["name"] if i == 0 else "", p["name"], p["default"], p["bounds"], p["unit"], p["scale"])
-        for s in stages
-        for i, p in enumerate(
-            s["params"] or [dict.fromkeys(("name", "default", "bounds", "unit", "scale"), "")]
-        )
-    ]
-    print_table(("stage", "parameter", "default", "bounds", "unit", "scale"), rows)
-    say(f"{len(stages)} stages, {sum(len(s['params']) for s in stages)} parameters")
+        print_json(wanted)
+    elif all(name == own[0]["name"] for name, own in zip(arguments.names, found)) and arguments.names:
+        for one in wanted:
+            _print_stage(one)
+    else:
+        _print_groups(wanted)
     return 0
 
 
-def _named(stages: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    for found in stages:
-        if found["name"] == name:
-            return found
-    raise InputError(f"no stage named {name!r}{meant(name, (found['name'] for found in stages))}")
+def _found(stages: list[dict[str, Any]], word: str) -> list[dict[str, Any]]:
+    """The stage of a name, or the stages of a group; else those with the word in their name or summary."""
+    from jaxisp.catalogue import GROUPS, group_of
+
+    exact = [s for s in stages if s["name"] == word]
+    group = [s for s in stages if group_of(s["name"]) == word.lower()]
+    found = exact or group or [s for s in stages if word.lower() in f"{s['name']} {s['summary']}".lower()]
+    if not found:
+        hint = meant(word, [s["name"] for s in stages]) or f"; groups are {', '.join(GROUPS)}"
+        raise InputError(f"no stage named {word!r}{hint}")
+    return found
+
+
+def _print_groups(stages: list[dict[str, Any]]) -> None:
+    """A line for each stage, group by group in the order of a camera."""
+    from jaxisp.catalogue import GROUPS, first_sentence, group_of
+
+    width = max(len(s["name"]) for s in stages)
+    for group, what in GROUPS.items():
+        own = [s for s in stages if group_of(s["name"]) == group]
+        if own:
+            say(f"{group}: {what}")
+        for s in own:
+            line = f"  {s['name']:<{width}}  {' '.join(first_sentence(s['summary']).split())}"
+            say(line if len(line) <= 110 else f"{line[:107].rstrip()}...")
+    parameters = sum(len(s["params"]) for s in stages)
+    say(f"{len(stages)} stages, {parameters} parameters; jaxisp stages NAME shows one whole")
 
 
 def _print_stage(found: dict[str, Any]) -> None:

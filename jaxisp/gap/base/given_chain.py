@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxisp.camera import with_cfa
+from jaxisp.cfa import shifted
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC, accepts
 from jaxisp.errors import InputError
 from jaxisp.gap.base.plain_clean import encoder_of
@@ -13,6 +15,7 @@ from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Coordinate, is_file
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.params import specs
+from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Shuffle, Stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
@@ -22,7 +25,9 @@ def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
     """The nodes that run, in order, with no switch about them."""
     for node in nodes:
         own: Any = recipe.prior.get(node.name)
-        if isinstance(node, Gate | Shuffle) and any(is_distribution(v) for v in vars(own).values()):
+        if isinstance(node, Gate | Shuffle | AnyPhase) and any(
+            is_distribution(v) for v in vars(own).values()
+        ):
             raise InputError(
                 f"recipe {recipe.name!r} draws {node.name!r} at random, so that it is several simulators; "
                 "give one by a constant"
@@ -31,6 +36,11 @@ def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
             yield from flat_nodes((node.node,), recipe) if float(own.on) > 0.5 else ()
         elif isinstance(node, Shuffle):
             yield from flat_nodes([node.nodes[i] for i in np.argsort(own.priority)], recipe)
+        elif isinstance(node, AnyPhase):
+            start = float(own.row) > 0.5, float(own.column) > 0.5
+            for inner in flat_nodes((node.node,), recipe):
+                cfa = inner.options.get("cfa") if isinstance(inner, Stage) else None
+                yield inner if cfa is None else with_cfa(inner, shifted(str(cfa), *start))
         elif isinstance(node, Row):
             yield from flat_nodes(node.nodes, recipe)
         else:

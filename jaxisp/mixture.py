@@ -1,0 +1,160 @@
+"""A mixture: each image of a batch is degraded by one of several recipes, drawn by their shares.
+
+Images are sorted by recipe on the device, and run in groups of one recipe each. A batch costs what the
+recipes of its images cost, and at most the padding of a group a recipe. All recipes are one program.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+
+from jaxisp.arrays.barriers import store
+from jaxisp.arrays.varying import alike, spread_over
+from jaxisp.errors import InputError
+from jaxisp.io.files import short
+from jaxisp.params import strong
+from jaxisp.pipeline import Chain, over_batch, spread
+from jaxisp.priors import draw
+from jaxisp.process.selfcheck import check_backend
+from jaxisp.recipe import LAST_INDEX, Degraded, Recipe, check_photographs, sample_halves, taken
+
+GROUPS = 8
+"""Groups that a batch of one recipe runs in. Fewer run faster each, and pad more."""
+WHICH = "recipe"
+"""The entry of the parameters that says which recipe each image had."""
+
+Branches = tuple[tuple[str, Chain], ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Mixture:
+    """Recipes by name, and the share of the images that each is for. Make it with `jaxisp.recipes.mix`."""
+
+    recipes: dict[str, Recipe]
+    shares: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, recipe in self.recipes.items():
+            if name == WHICH:
+                raise InputError(
+                    f"a recipe in a mixture may not be named {WHICH!r}: name its chain otherwise"
+                )
+            check_photographs(recipe)
+        try:
+            given = np.asarray([float(share) for share in self.shares])
+        except (TypeError, ValueError):
+            raise InputError(f"shares of a mixture must be numbers, got {self.shares!r}") from None
+        object.__setattr__(self, "shares", tuple(given.tolist()))
+        if given.shape != (len(self.recipes),) or not len(given):
+            raise InputError(f"a mixture takes a share for each of its recipes, got {self.shares!r}")
+        if not (np.isfinite(given).all() and (given >= 0).all() and abs(given.sum() - 1) < 1e-6):
+            raise InputError(
+                f"shares of a mixture must be 0 or more and sum to 1, got {', '.join(map(str, self.shares))}"
+            )
+
+    def __repr__(self) -> str:
+        return f"mix({dict(zip(self.recipes, self.shares))})"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the recipes; `params["recipe"]` counts in this order."""
+        return tuple(self.recipes)
+
+    @property
+    def _branches(self) -> Branches:
+        return tuple((name, recipe.chain) for name, recipe in self.recipes.items())
+
+    def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
+        """Degrade a batch on the device, each image by a recipe of its own.
+
+        An image that has a recipe gets the draws that this recipe gives for the same key and index. Which one
+        it has depends on key and index alone. Takes and raises what `Recipe.degrade` does.
+
+        Returns:
+            noisy, clean, and the parameters: `params["recipe"]`, (N,) int32, is each image's recipe as an
+            index into `names`; `params[NAME]` holds the recipe's parameters, NaN for the images of others.
+        """
+        check_backend()
+        prior = {name: strong(recipe.prior) for name, recipe in self.recipes.items()}
+        ends = np.cumsum(self.shares) / np.sum(self.shares)
+        given = taken("a mixture", key, images, start)
+        return _degrade(self._branches, ends.astype(np.float32), prior, *given)
+
+    def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
+        """Degrade again with parameters drawn before: the same bits for the same key and start."""
+        if not isinstance(params, dict) or set(params) != {WHICH, *self.recipes}:
+            raise InputError(f"a mixture repeats what its degrade drew, got {short(params)}")
+        key, images, start = taken("a mixture", key, images, start)
+        return _repeat(self._branches, key, params, images, start)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _degrade(
+    branches: Branches, ends: Any, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any
+) -> Degraded:
+    drawing, _ = sample_halves(key, start, len(images))
+    choosing = jax.vmap(jax.random.fold_in, in_axes=(0, None))(drawing, LAST_INDEX)  # no parameter's name
+    chance = jax.vmap(lambda own: jax.random.uniform(own, (), jnp.float32))(choosing)
+    which = jnp.sum(chance[:, None] >= ends[:-1], 1, dtype=jnp.int32)
+    params: dict[str, Any] = {WHICH: which}
+    for i, (name, chain) in enumerate(branches):
+        sample = functools.partial(draw, prior=prior[name], like=chain.init())
+        params[name] = jax.tree.map(functools.partial(_where, which == i), store(jax.vmap(sample)(drawing)))
+    return _repeat(branches, key, params, images, start), images, params
+
+
+def _where(own: jax.Array, values: jax.Array) -> jax.Array:
+    return jnp.where(own.reshape(-1, *[1] * (values.ndim - 1)), values, jnp.nan)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _repeat(
+    branches: Branches, key: jax.Array, params: dict[str, Any], images: jax.Array, start: Any
+) -> jax.Array:
+    _, noise = sample_halves(key, start, len(images))
+    return _by_branch(branches, params, images, noise)
+
+
+def _by_branch(branches: Branches, params: dict[str, Any], images: jax.Array, keys: jax.Array) -> jax.Array:
+    """Each image by its own branch: groups of images of one branch, one after another."""
+    mesh = spread_over(images)
+    if mesh is not None:
+        axes = jax.tree.map(lambda _: 0, params)
+        return spread(mesh, functools.partial(_by_branch, branches), axes, params, images, keys)
+    count = len(images)
+    if not count:
+        return images
+    which = jnp.clip(params[WHICH], 0, len(branches) - 1)
+    size = -(-count // GROUPS)
+    counts = jnp.sum(which[:, None] == jnp.arange(len(branches)), 0)
+    order = jnp.argsort(which, stable=True)
+    first = jnp.cumsum(counts) - counts  # in `order`, of each branch
+    last_group = jnp.cumsum(-(-counts // size))
+    first_group = last_group - -(-counts // size)
+
+    def run(group: jax.Array) -> jax.Array:
+        # groups beyond the last are of no branch; a branch's last group is padded with its first image
+        branch = jnp.sum(group >= last_group)
+        own = jnp.minimum(branch, len(branches) - 1)
+        at = (group - first_group[own]) * size + jnp.arange(size)
+        rows = order[jnp.clip(first[own] + jnp.where(at < counts[own], at, 0), 0, count - 1)]
+        taken_rows = jax.tree.map(lambda v: v[rows], (params, images, keys))
+        return lax.switch(branch, runs, *alike(taken_rows))
+
+    runs: list[Callable[..., jax.Array]] = [functools.partial(_run, name, chain) for name, chain in branches]
+    runs.append(lambda params, images, keys: images)
+    groups = (count + len(branches) * (size - 1)) // size
+    done = lax.map(run, jnp.arange(groups)).reshape(-1, *images.shape[1:])
+    place = jnp.argsort(order) - first[which]  # among the images of its branch
+    return done[first_group[which] * size + place]
+
+
+def _run(name: str, chain: Chain, params: dict[str, Any], images: jax.Array, keys: jax.Array) -> jax.Array:
+    return alike(over_batch(chain, params[name], images, keys), images)

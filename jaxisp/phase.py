@@ -1,0 +1,75 @@
+"""A mosaic that begins at any photosite of its pattern's cell: a traced phase, one compile for all four."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxisp.domains import Domain
+from jaxisp.node import Node, Params, Stage, entry
+from jaxisp.params import Leaf, param, parameters
+
+
+@parameters
+class CfaPhase:
+    """Where in its pattern's cell a mosaic begins."""
+
+    row: Leaf = param(0.0, (0.0, 1.0), "switch", doc="at the cell's second row above 0.5")
+    column: Leaf = param(0.0, (0.0, 1.0), "switch", doc="at the cell's second column above 0.5")
+
+
+@dataclass(frozen=True, repr=False)
+class AnyPhase(Node):
+    """What runs from a mosaic to demosaicking, with the pattern shifted by `params[NAME]`, a `CfaPhase`.
+
+    The picture is moved against the pattern, within a border of reflected pixels, and moved back. At phase
+    (0, 0) the pattern is that of the stages; at (0, 1) GRBG is RGGB.
+    """
+
+    node: Node
+    name: str = "cfa_phase"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.node, Node):
+            raise TypeError(f"AnyPhase takes a stage or a pipeline, got {self.node!r}")
+        channels = self.node.domain_in.channels, self.node.domain_out.channels
+        if channels != (3, 3) or not any("cfa" in s.options for s in self.node.stages()):
+            raise ValueError(
+                f"AnyPhase takes what runs from a mosaic to demosaicking; {self.node.name!r} takes "
+                f"{self.node.domain_in.name} and gives {self.node.domain_out.name}"
+            )
+
+    @property
+    def domain_in(self) -> Domain:
+        return self.node.domain_in
+
+    @property
+    def domain_out(self) -> Domain:
+        return self.node.domain_out
+
+    @property
+    def reach(self) -> int | None:
+        return None  # where a strip begins is another phase
+
+    def stages(self) -> Iterator[Stage]:
+        return self.node.stages()
+
+    def names(self) -> Iterator[str]:
+        yield self.name
+        yield from self.node.names()
+
+    def init(self) -> Params:
+        return {self.name: CfaPhase(), **self.node.init()}
+
+    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+        phase = entry(params, self.name, CfaPhase)
+        row, column = (jnp.asarray(v > 0.5, jnp.int32) for v in (phase.row, phase.column))
+        height, width, channels = image.shape
+        none = jnp.zeros((), jnp.int32)
+        # an even size, as the picture's own mostly is
+        padded = jnp.pad(image, ((1, 2), (1, 2), (0, 0)), mode="reflect")
+        moved = lax.dynamic_slice(padded, (1 - row, 1 - column, none), (height + 2, width + 2, channels))
+        out = self.node.apply(params, moved, key)
+        return lax.dynamic_slice(out, (row, column, none), image.shape)
