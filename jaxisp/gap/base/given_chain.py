@@ -1,4 +1,4 @@
-"""A given simulator's nodes, made ready to be a base: no switches, names of their own, the file's end."""
+"""Preparation of a given simulator's nodes: no switches, unique names, the file's own compression."""
 
 import dataclasses
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from jaxisp.recipe import Recipe
 
 
 def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
-    """The nodes that run, in order, with no switch about them."""
+    """Iterate over the nodes that run, in order, without their switches."""
     for node in nodes:
         own: Any = recipe.prior.get(node.name)
         if isinstance(node, Gate | Shuffle) and any(is_distribution(v) for v in vars(own).values()):
@@ -38,17 +38,17 @@ def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
 
 
 def makes_mosaic(node: Node) -> bool:
-    """Whether it takes light to a mosaic."""
+    """Whether the node turns light into a mosaic."""
     return node.domain_out == MOSAIC and node.domain_in != MOSAIC
 
 
 def demosaics(node: Node) -> bool:
-    """Whether it takes a mosaic to camera RGB."""
+    """Whether the node turns a mosaic into camera RGB."""
     return node.domain_in == MOSAIC and node.domain_out == CAMERA
 
 
 def check_recipe(nodes: Sequence[Node], recipe: Recipe) -> None:
-    """Raise InputError unless nodes take encoded sRGB through one mosaic back to encoded sRGB."""
+    """Raise InputError unless the nodes turn encoded sRGB into one mosaic and back into encoded sRGB."""
     counts = [sum(map(kind, nodes)) for kind in (makes_mosaic, demosaics)]
     if counts != [1, 1]:
         raise InputError(
@@ -64,7 +64,7 @@ def check_recipe(nodes: Sequence[Node], recipe: Recipe) -> None:
 
 
 def check_camera(camera: Recipe) -> None:
-    """Raise InputError unless it turns a mosaic into encoded sRGB, demosaicking it once."""
+    """Raise InputError unless the camera turns a mosaic into encoded sRGB and demosaicks it once."""
     nodes = list(flat_nodes(camera.chain.nodes, camera))
     chain = Chain(tuple(nodes))
     times = sum(map(demosaics, nodes))
@@ -78,8 +78,13 @@ def check_camera(camera: Recipe) -> None:
 def renamed(
     nodes: Sequence[Node], effects: Sequence[Effect], apart: Sequence[str] = ()
 ) -> tuple[list[Node], dict[str, str]]:
-    """The nodes, those renamed that have an effect's name and are another stage, or that are named as what is
-    to stay apart from the effect; and new names by old."""
+    """Rename nodes whose names collide with effects.
+
+    A node is renamed if it has an effect's name but another function, or if `apart` lists its name.
+
+    Returns:
+        the nodes; new name by old name.
+    """
     fns = {e.name: e.node.fn for e in effects if isinstance(e.node, Stage)}
     names, found = {}, []
     for node in nodes:
@@ -97,13 +102,15 @@ def _acts_on(node: Stage, fns: Mapping[str, Callable[..., Any]], apart: Sequence
 def on_own_stage(
     effect: Effect, params: Any, opened: Container[tuple[str, tuple[int, ...]]] = ()
 ) -> tuple[Coordinate, ...]:
-    """How an effect acts that the simulator has as a stage: on its constants, from their values and within
-    the bounds of its parameters. A constant that has no room to move is left out.
+    """Coordinates of an effect that acts on a stage of the simulator.
+
+    They start at the stage's constants and stay within the bounds of its parameters. Constants that have no
+    room to move are left out.
 
     Args:
-        effect: its node is the simulator's.
-        params: of that stage.
-        opened: (field, index) of what moves besides.
+        effect: the effect; the simulator has its node.
+        params: parameters of that stage.
+        opened: (field, index) of numbers that are fitted anyway.
     """
     found = []
     for m in effect.moves:
@@ -122,12 +129,12 @@ def on_own_stage(
 
 
 def with_file(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
-    """The nodes with what the files' header states as the last compression."""
+    """Replace the last compression of the nodes by the one that the files' header states."""
     encoder, tables = encoder_of(file)
     kept = list(nodes)
     if tables:
         while is_file(kept[-1]):
-            if kept.pop().name.startswith("jpeg"):  # one before the last is an effect that is modelled
+            if kept.pop().name.startswith("jpeg"):  # earlier compressions stay
                 break
     if tables or not is_file(kept[-1]):
         kept.append(encoder)
