@@ -1,8 +1,8 @@
 """The share of a residual that each axis explains, cross-validated over scenes.
 
-Each axis is a regression of the residual on its features of a pixel, such as luma, radius times value, or
-position in the 8x8 grid. It is fitted on some scenes and scored on others, so that neither the number of bins
-nor the layout of one scene raises a share. Scenes that are not scored are used for fitting too.
+Each axis is a regression of the residual on features of a pixel: luma, radius times value, position in the
+8x8 grid and so on. It is fitted on some scenes and scored on others. Neither many bins nor the layout of one
+scene can therefore raise a share. Scenes that are not scored are used for fitting too.
 
 Features that belong to simpler axes are fitted first and do not count. For example, the neighbourhood counts
 only beyond a curve of luma; this curve is either each scene's own or common to all scenes.

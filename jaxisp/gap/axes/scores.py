@@ -130,6 +130,7 @@ class Regression:
             self._support.append(w[:, 0] @ (f != 0))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the features beyond the first `given`, for signs (D, B)."""
         return self._summed(signs, tiles, _scored)
 
     def shared(self, signs: np.ndarray, tiles: Tiles) -> Explained:
@@ -265,6 +266,7 @@ class Bins:
         self._counts.append(counts)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the bins beyond the coarser bins, for signs (D, B)."""
         sums, counts = np.stack(self._sums), np.stack(self._counts)
         total, total_by = _gain(signs, sums, counts, tiles)
         if self._merge is None:
@@ -310,6 +312,10 @@ class Lines:
         self._scenes.append((sums.astype(np.float64), counts.astype(np.float64), rows))
 
     def explained(self, signs: np.ndarray, tiles: Tiles, *, transposed: bool = False) -> Explained:
+        """Energy explained by offsets of rows, for signs (D, B).
+
+        `transposed`: the pictures were added transposed, so that columns are measured.
+        """
         total, by_picture = np.zeros((len(signs), 3)), []
         for scene, (sums, counts, rows) in enumerate(self._scenes):
             own = tiles.of_scene(signs, scene)
@@ -353,6 +359,7 @@ class Repeated:
         return (flat @ flat.swapaxes(1, 2)).astype(np.float64)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the pattern of the other scenes, for signs (D, N T)."""
         others = self._apart.sum(1, keepdims=True)
         products = self.products(tiles) * (self._apart / np.maximum(others, 1))
         own = signs.reshape(len(signs), len(others), -1)
@@ -398,6 +405,7 @@ class Changing:
         return np.asarray(self._apart @ (np.stack(self._sums).sum(1) / (counts + _RIDGE)))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by offsets of whole frames, for signs (D, N T)."""
         sums, counts = np.stack(self._sums), np.stack(self._counts)
         own = signs.reshape(len(signs), *counts.shape)
         rows, columns = np.divmod(np.arange(counts.shape[1]), tiles.across)
@@ -437,6 +445,7 @@ class Tail:
         self._expected += self._USUAL * len(values)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy beyond the limit; the null draws are Poisson counts of a Gaussian, so signs only give D."""
         draws = self._rng.poisson(self._expected, (len(signs), 3)) * self._one
         draws[0] = 0
         by_picture = np.zeros((tiles.count // len(tiles.slices), 3))

@@ -64,6 +64,7 @@ class Open:
 
     @property
     def median(self) -> float:
+        """The middle level."""
         return self.levels[len(self.levels) // 2]
 
     def placed(self, params: Params, value: float) -> Params:

@@ -19,7 +19,11 @@ from jaxisp.recipe import Recipe
 
 
 def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
-    """Iterate over the nodes that run, in order, without their switches."""
+    """Iterate over the nodes that run, in order, without their switches.
+
+    Raises:
+        InputError: the recipe draws a switch or an order at random.
+    """
     for node in nodes:
         own: Any = recipe.prior.get(node.name)
         if isinstance(node, Gate | Shuffle) and any(is_distribution(v) for v in vars(own).values()):
@@ -80,7 +84,7 @@ def renamed(
 ) -> tuple[list[Node], dict[str, str]]:
     """Rename nodes whose names collide with effects.
 
-    A node is renamed if it has an effect's name but another function, or if `apart` lists its name.
+    A node with an effect's name is renamed if its function differs from the effect's, or if `apart` lists it.
 
     Returns:
         the nodes; new name by old name.
@@ -129,7 +133,13 @@ def on_own_stage(
 
 
 def with_file(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
-    """Replace the last compression of the nodes by the one that the files' header states."""
+    """Replace the last compression of the nodes by the one that the files' header states.
+
+    Without such a header, the nodes keep their own; rounding is added if they have none.
+
+    Returns:
+        the nodes; the parameters of the new compression.
+    """
     encoder, tables = encoder_of(file)
     kept = list(nodes)
     if tables:

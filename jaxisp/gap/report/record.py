@@ -55,6 +55,14 @@ def base_row(
 
 
 def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[str, Any]:
+    """Describe an accepted cause.
+
+    Args:
+        trial: the accepted trial.
+        alike: effects that these pairs cannot distinguish from it.
+        tried: number of effects tried, for the correction of the p-value.
+        model: the simulator.
+    """
     effect = EFFECTS[trial.effect]
     params: dict[str, Any] = dict(trial.params)
     for i in () if params else model.indices([trial.effect]):

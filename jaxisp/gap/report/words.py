@@ -49,6 +49,7 @@ def begun(text: str) -> str:
 
 
 def any_of(names: Sequence[str]) -> str:
+    """Join the names of effects with "or"."""
     return " or ".join(map(words, names))
 
 
@@ -58,14 +59,17 @@ def listed(texts: Sequence[str]) -> str:
 
 
 def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is 1."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def finite(value: Any) -> bool:
+    """Whether the value is a finite number."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
 
 
 def percent(share: Any) -> str:
+    """A share in per cent; "unknown" if it is not a finite number."""
     if not finite(share):
         return "unknown"
     value = 100 * float(share)
@@ -87,4 +91,5 @@ def number(value: Any) -> str:
 
 
 def chance(p: Any) -> str:
+    """A p-value with its relation sign, such as "= 0.02"; "unknown" if it is not a finite number."""
     return "unknown" if not finite(p) else "< 0.001" if p < 0.001 else f"= {p:.2g}"

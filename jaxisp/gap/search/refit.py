@@ -171,7 +171,8 @@ def nearest_form(evidence: Evidence, point: Point, effect: str, criteria: Criter
     fit would then end between two forms, and such a fit does not generalise to other scenes.
 
     Returns:
-        the fitted point; None if the effect has no exact forms, or if the base alone fits as well.
+        coordinates (Z,) of the best fit; None if the effect has no exact forms, or if the base alone fits as
+        well.
     """
     own = point.model.indices([effect]) if effect in EFFECTS and EFFECTS[effect].exact else []
     forms = starts(point.model, point.z, own) if own else []
@@ -208,7 +209,7 @@ def _climbed(ladders: Ladders, part: Objective, model: Model) -> Point:
 
 
 def _best_of(points: Sequence[np.ndarray], part: Objective, model: Model) -> np.ndarray:
-    """The point of least error."""
+    """The coordinates (Z,) of least error among `points`."""
     errors = parallel_map(lambda z: part.at(model, z).error, points)
     return points[int(np.argmin(errors))]
 
