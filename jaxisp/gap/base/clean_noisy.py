@@ -134,7 +134,7 @@ def _with_one_pattern(
     seed: int,
     tick: Tick,
 ) -> tuple[Case, MeanFit]:
-    """Fit the plain base, after shifting the pairs to a common phase of the colour filter array if necessary.
+    """Refit the plain base with the pairs shifted to a common CFA phase, if their phases differ.
 
     Returns:
         the case and the fitted mean.

@@ -100,9 +100,7 @@ def _scaled(pairs: Pairs) -> Pairs:
     ratio = (srgb_to_linear(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
         (light * own).sum((1, 2, 3)), 1e-9
     )
-    if (
-        ratio.max() < _ALIKE * ratio.min()
-    ):  # one exposure: clipping and the curve explain the small differences
+    if ratio.max() < _ALIKE * ratio.min():  # one exposure; clipping and the curve explain differences
         ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
     return pairs.relit(lambda light: light * ratio.astype(np.float32)[:, None, None, None])
 
