@@ -1,7 +1,7 @@
-"""Where a gap lies: the axes, their shares and the null bank."""
+"""The axes along which a gap lies, the share of each, and the null bank."""
 
 from collections.abc import Sequence
 from typing import Any
 
 Rows = Sequence[dict[str, Any]]
-"""Axes, as `where` of report.json has them."""
+"""Rows of `where` in report.json, one for each axis."""

@@ -1,4 +1,4 @@
-"""How sure the share of an axis is: what it would be, were other scenes of the same kind looked at."""
+"""Confidence intervals of shares by a bootstrap over scenes."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ _DRAWS = 400
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of as many scenes as there are, with replacement and with all frames of each: a bootstrap.
+    """Bootstrap draws of scenes, with replacement; a scene is drawn with all its frames.
 
     Attributes:
-        times: (D, N) how many times each picture counts.
-        scenes: how many there are, two or more.
+        times: (D, N) number of times that each picture counts in each draw.
+        scenes: number of scenes, two or more.
     """
 
     times: np.ndarray
@@ -22,8 +22,10 @@ class Draws:
 
     @classmethod
     def of(cls, scenes: Sequence[Hashable]) -> "Draws | None":
-        """The draws, the same each time, of pictures that show these (N,) scenes; None where these are fewer
-        than two: then there is nothing else to draw."""
+        """Draw from the scene names (N,) of pictures; None if there are fewer than two scenes.
+
+        The seed is fixed, so the same scenes give the same draws.
+        """
         order = list(dict.fromkeys(scenes))
         n = len(order)
         if n < 2:
@@ -32,26 +34,38 @@ class Draws:
         return cls(times[:, [order.index(s) for s in scenes]].astype(float), n)
 
     def means(self, values: np.ndarray) -> np.ndarray:
-        """(D, ...) of (N, ...) values by picture, draw by draw."""
+        """Mean (D, ...) over each draw of values (N, ...) by picture."""
         return np.asarray(self.times @ values / self.times.sum(1, keepdims=True))
 
     def interval(self, share: float, drawn: np.ndarray) -> list[float]:
-        """[low, high], the 90 % interval of a share in [0, 1] that is (D,) in the draws. It holds the share,
-        and is as much wider than the draws' as these are too alike where scenes are few."""
+        """The 90 % interval [low, high] of a share, from its values in the draws.
+
+        The interval contains the share. It is wider than the draws by the factor `few_scenes`.
+
+        Args:
+            share: in [0, 1].
+            drawn: (D,) the share in each draw.
+        """
         low, high = np.percentile(drawn, (5, 95))
         factor = few_scenes(self.scenes)
         ends = share - factor * max(share - low, 0.0), share + factor * max(high - share, 0.0)
         return [float(np.clip(end, 0, 1)) for end in ends]
 
 
-_LEAST_WHOLE = 0.25  # of the gap in what is drawn: near the floor a part of it may be none
+_LEAST_WHOLE = 0.25  # least gap of a draw, as a share of the mean gap; it may vanish near the floor
 
 
 def interval(drop: np.ndarray, whole: np.ndarray | float, seed: int = 0) -> tuple[float, float]:
-    """90 % interval of the mean of (N, U) drops over the whole, by a bootstrap of pairs and their units.
+    """The 90 % interval of mean drop over mean gap, by a bootstrap of pairs and of units within pairs.
 
-    Where the whole is given unit by unit a scene that has more of the gap is drawn with it, and does not make
-    the share uncertain.
+    Args:
+        drop: (N, U) drop of the gap by pair and unit (tile); NaN for units without pixels.
+        whole: the gap; one number, or (N, U) likewise. Given by unit, it is drawn together with the drop, so
+            that scenes with more of the gap do not widen the interval.
+        seed: of the bootstrap.
+
+    Returns:
+        low and high end.
     """
     rng = np.random.default_rng(seed)
     n, u = drop.shape
@@ -66,8 +80,10 @@ def interval(drop: np.ndarray, whole: np.ndarray | float, seed: int = 0) -> tupl
 
 
 def few_scenes(count: int | None) -> float:
-    """How many times as wide as a bootstrap's the 90 % interval of a mean over so many independent figures
-    is: Student's t for the normal's, and the variance with n - 1. 1 for one figure; for None, of tiles too.
+    """Factor that widens a bootstrap's 90 % interval of a mean over `count` independent values.
+
+    It replaces the normal quantile by Student's t, and n by n - 1 in the variance. It is 1 for one value, and
+    for None, which stands for a bootstrap of tiles.
     """
     if count is None or count < 2:
         return 1.0

@@ -1,8 +1,8 @@
-"""What axes show where nothing is missing: the null bank, which a gap's axes are held against.
+"""The null bank: sizes of the axes for cameras that lack no effect.
 
-That an axis explains something of a residual is soon beyond chance: every camera's curve, borders and
-rounding differ a little from the simulator's. What matters is whether it is beyond cameras, written
-independently, that lack nothing. `nulls.json` has their sizes; `experiments/null_bank.py` makes it.
+The share of an axis is easily significant, since every camera's curve, borders and rounding differ slightly
+from the simulator's. A share matters only if it exceeds those of independently written cameras that lack no
+effect. `nulls.json` holds their sizes; `experiments/null_bank.py` generates it.
 """
 
 import functools
@@ -16,20 +16,22 @@ from jaxisp.gap.simulator.effects import RAW_JPEG
 
 
 def held_against_nulls(rows: Rows, kind: str, at: float, unit: float) -> list[dict[str, Any]]:
-    """Axes as they are located, with what cameras that lack nothing say of them.
+    """Compare the axes with those of cameras that lack no effect.
 
     Args:
-        rows: the axes.
-        kind: of the data.
-        at: the gap where they were located.
-        unit: what is harmless, in the unit of the gap.
+        rows: the located axes.
+        kind: of the data: "raw+jpeg" or "clean+noisy".
+        at: the gap at the point where the axes were located.
+        unit: the harmless gap, in the unit of the gap.
 
     Returns:
-        the rows with `size`: in RAW+JPEG pairs the part of the gap that the axis explains, in units of it, in
-        clean+noisy pairs the mean square of its statistics' differences, in units of what is harmless or
-        chance. With `usual`, the size that 95 % of the bank's cameras stay below, or None of an axis that
-        none of them could show. And with a `p_value` that is the larger of two: of chance, and of a camera
-        that lacks nothing having any axis as many times as large as usual.
+        the rows with these keys added or replaced:
+
+        - `size`: for RAW+JPEG pairs, the part of the gap that the axis explains, in units of `unit`. For
+          clean+noisy pairs, the mean squared difference of its statistics, in units of tolerance and chance.
+        - `usual`: the 95th percentile of `size` over the bank; None if no camera there can show the axis.
+        - `p_value`: the larger of two p-values. One is of chance. The other is of a camera that lacks no
+          effect and has some axis at least as large, relative to `usual`.
     """
     nulls = bank()[kind]
     return [_beside(nulls, row, _size(row, kind, at, unit)) for row in rows]
@@ -47,13 +49,19 @@ def _beside(nulls: Mapping[str, Any], row: Mapping[str, Any], size: float) -> di
 
 
 def as_large(times: float, largest: list[float]) -> float:
-    """The share of cameras whose largest axis is as many times as large as usual, the one at hand counted."""
+    """The p-value of an axis that is `times` its usual size, among all axes of the bank's cameras.
+
+    It is the share of cameras with some axis at least as large; the camera under test is counted too.
+    """
     return (1 + sum(own >= times for own in largest)) / (1 + len(largest))
 
 
 @functools.cache
 def bank() -> dict[str, Any]:
-    """By kind of data: `usual`, by axis the size that 95 % of the cameras stay below, and `largest`, of each
-    camera the most times that an axis of its is as large as usual."""
+    """The null bank by kind of data.
+
+    `usual` holds the 95th percentile of each axis's size over the cameras. `largest` holds, for each camera,
+    the largest ratio of an axis's size to its usual size.
+    """
     found: dict[str, Any] = json.loads(files("jaxisp.gap.axes").joinpath("nulls.json").read_text())
     return found

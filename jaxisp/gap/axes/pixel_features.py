@@ -1,4 +1,4 @@
-"""What each axis says of a pixel: the features that its share of a residual is regressed on."""
+"""Features of pixels by axis; the residual is regressed on them to find the share of each axis."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ LUMA = np.linspace(0, 256, 17)
 CHROMA = np.array([0, 3, 6, 10, 15, 21, 28, 37, 48, 62, 200.0])
 SECTORS = 12
 RADII = 16
-STRENGTHS = (0, 2, 4, 8, 16, 32, 64, 512)  # of an edge, steps per pixel
+STRENGTHS = (0, 2, 4, 8, 16, 32, 64, 512)  # bin edges of edge strength, 8-bit steps per pixel
 
 Planes = list[np.ndarray]
 
 
 def box(plane: np.ndarray, radius: int) -> np.ndarray:
-    """Mean over a square of 2 radius + 1, edges repeated."""
+    """Mean of a plane (h, w) over squares of 2 radius + 1 pixels, edges repeated."""
     for _ in range(2):
         padded = np.pad(plane, ((radius + 1, radius), (0, 0)), mode="edge")
         sums = np.cumsum(padded, 0, dtype=np.float64)
@@ -36,13 +36,17 @@ def _second(plane: np.ndarray, dy: int, dx: int) -> np.ndarray:
 
 
 def one_hot(index: np.ndarray, count: int) -> Planes:
-    """A plane of zeros and ones for each bin."""
+    """One plane (h, w) of zeros and ones for each of `count` bins; `index` (h, w) holds the bins."""
     return [(index == i).astype(np.float32) for i in range(count)]
 
 
 @dataclass
 class Scene:
-    """A picture (h, w, 3), luma in 0..255 and chroma about 0, with what the axes need of it."""
+    """A picture and the quantities derived from it that the features of the axes use.
+
+    Attributes:
+        picture: (h, w, 3) Y'CbCr in 8-bit steps; luma in 0 to 255, chroma centred at 0.
+    """
 
     picture: np.ndarray
 
@@ -74,18 +78,18 @@ class Scene:
 
     @property
     def outward(self) -> Planes:
-        """What a displacement of one pixel at the corners, in proportion to radius, changes."""
+        """Change of each channel (h, w) under a radial scaling that moves the corners by one pixel."""
         d = self.half_diagonal
         return [(self.y * down + self.x * right) / d for down, right in zip(self.down, self.right)]
 
     @property
     def chroma_directions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unit vector of the pixel's own chroma; zero where it is grey."""
+        """Unit vector (Cb, Cr), (h, w) each, of the pixel's chroma; zero for grey pixels."""
         safe = np.where(self.chroma > 0.5, self.chroma, np.inf)
         return self.planes[1] / safe, self.planes[2] / safe
 
     def polar(self, residual: np.ndarray) -> np.ndarray:
-        """The residual's chroma along the pixel's own chroma and across it."""
+        """Rotate the chroma of a residual (h, w, 3) into components along and across the pixel's chroma."""
         c, s = self.chroma_directions
         along = residual[..., 1] * c + residual[..., 2] * s
         return np.stack([residual[..., 0], along, residual[..., 2] * c - residual[..., 1] * s], -1)
@@ -111,7 +115,7 @@ def _channel(s: Scene) -> Planes:
 
 
 def _casts(s: Scene) -> Planes:
-    """A constant colour, and one that grows with luma, as they look in polar form."""
+    """Polar components of a constant colour cast, and of a cast in proportion to luma."""
     return [p * f for f in s.chroma_directions for p in (s.one, s.luma)]
 
 
@@ -136,7 +140,7 @@ def _edge(s: Scene) -> Planes:
 
 
 def displaced(s: Scene) -> Planes:
-    """The picture, and what a displacement of it changes."""
+    """A constant, the channels, and their gradients, which describe a displacement."""
     return [s.one, *s.planes, *s.down, *s.right]
 
 
@@ -164,7 +168,7 @@ def _cfa_phase(s: Scene, period: int) -> Planes:
 
 Features = Callable[[Scene], Planes]
 
-_VALUES, _BANDS = 12, 12  # how many features `_value` and `Scene.bands` are
+_VALUES, _BANDS = 12, 12  # number of features of `_value` and of `Scene.bands`
 
 POLAR_AXES = ("hue", "saturation")
 
@@ -179,16 +183,16 @@ REGRESSIONS: dict[str, tuple[Features, tuple[int, int, int]]] = {
     "orientation": (_orientation, (_BANDS,) * 3),
     "neighbourhood": (_neighbourhood, (_VALUES + 4,) * 3),
 }
-"""By axis its features, and how many of the first of them simpler axes have, by channel."""
+"""By axis: its features, and by channel the number of leading features that simpler axes already have."""
 
 
 def cfa_features(period: int) -> tuple[Features, tuple[int, int, int]]:
-    """Those of the colour filter array, whose period differs."""
+    """Features of the "cfa_phase" axis for a colour filter array of this period [px]; as in `REGRESSIONS`."""
     return (lambda s: _cfa_phase(s, period)), (6, 6, 6)
 
 
 def lag_features(residual: np.ndarray, channel: int) -> Planes:
-    """Of one channel of the residual: its surroundings 4 to 6 px away, then its neighbours at lag 1 and 2."""
+    """Features of one channel of a residual (h, w, 3): its mean 4 to 6 px away, its neighbours at `LAGS`."""
     plane = np.ascontiguousarray(residual[..., channel])
     near = [shifted(plane, dy, dx) + shifted(plane, -dy, -dx) for dy, dx in LAGS]
     return [ring(plane), *near]
@@ -198,12 +202,15 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 
 
 def ring(plane: np.ndarray) -> np.ndarray:
-    """Mean of what is 4 to 6 px away: it follows smooth content and is independent of white noise."""
+    """Mean of a plane (h, w) over pixels 4 to 6 px away.
+
+    It follows smooth content, and its noise is independent of the pixel's if noise is white.
+    """
     return (169 * box(plane, 6) - 49 * box(plane, 3)) / 120
 
 
 def block_transform(plane: np.ndarray) -> np.ndarray:
-    """(down, across, 8, 8) cosine transform of the 8x8 blocks."""
+    """Cosine transform (h // 8, w // 8, 8, 8) of the 8x8 blocks of a plane (h, w)."""
     h, w = (n // 8 * 8 for n in plane.shape)
     blocks = plane[:h, :w].reshape(h // 8, 8, w // 8, 8).swapaxes(1, 2)
     k, x = np.mgrid[:8, :8]

@@ -1,4 +1,4 @@
-"""A few numbers along each axis that show how the residual changes along it."""
+"""Profiles: how the residual changes along each axis, in a few bins."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -18,7 +18,11 @@ _SIGMAS = (2, 3, 4, 5)
 
 
 class Profiles:
-    """Sums by axis, taken in scene by scene."""
+    """Sums for the profile of each axis, accumulated scene by scene.
+
+    Args:
+        period: of the colour filter array [px].
+    """
 
     def __init__(self, period: int) -> None:
         self._period = period
@@ -49,7 +53,16 @@ class Profiles:
         weight: np.ndarray,
         flat: np.ndarray,
     ) -> None:
-        """One scene: residual, plain and with chroma in polar form, its detail, and what counts."""
+        """Add one scene.
+
+        Args:
+            s: the scene.
+            residual: (h, w, 3) Y'CbCr in 8-bit steps.
+            polar: (h, w, 3) the residual with chroma in polar form, see `Scene.polar`.
+            detail: (h, w, 3) the residual minus its mean 4 to 6 px away.
+            weight: (h, w) weight of each pixel.
+            flat: (h, w) weight of each pixel in flat areas, 0 elsewhere.
+        """
         if not self._scenes:
             self._labels |= {"row": list(range(len(weight))), "column": list(range(weight.shape[1]))}
         self._scenes += 1
@@ -65,7 +78,7 @@ class Profiles:
         self._add("tail", _beyond(detail, flat))
 
     def add_frames(self, labels: Sequence[str], means: np.ndarray) -> None:
-        """All of them: (N, 3) what each is off by."""
+        """Add all frames: their labels (N,) and mean residuals (N, 3) in 8-bit steps."""
         self._labels["frame"] = list(labels)
         self._add("frame", np.concatenate([means, means**2, np.ones((len(means), 1))], 1))
 
@@ -89,7 +102,11 @@ class Profiles:
         }
 
     def of(self, axis: str, shares: np.ndarray) -> dict[str, Any]:
-        """Bins, profile and unit of the channel that shows the axis most, and the shares of all."""
+        """The profile of an axis, for the channel with the largest of the shares (3,).
+
+        Returns:
+            `bins`, `profile`, `unit` and `channel`; `channels` holds the share of each channel.
+        """
         names = POLAR if axis in POLAR_AXES else PLAIN
         channel = int(np.argmax(shares))
         values, unit = self._values(axis, channel)
@@ -120,7 +137,7 @@ class Profiles:
 
 
 def _by_bin(index: np.ndarray, target: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """(count, 7) sums of the three channels, of their squares, and of the weight."""
+    """Sums (count, 7) by bin: weighted values of 3 channels, their weighted squares, and the weight."""
     flat, w = index.ravel(), weight.ravel()
     values = target.reshape(-1, 3)
     columns = [values[:, c] * w for c in range(3)] + [values[:, c] ** 2 * w for c in range(3)] + [w]
@@ -141,7 +158,7 @@ def _band_energies(residual: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _beyond(detail: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """(5, 3) samples beyond 2, 3, 4 and 5 robust standard deviations, and all of them."""
+    """Number of samples (5, 3) beyond 2, 3, 4 and 5 robust standard deviations, and of all samples."""
     values = np.abs(detail[flat > 0.5])
     if not len(values):
         return np.zeros((len(_SIGMAS) + 1, 3))

@@ -1,11 +1,13 @@
-"""Where a residual lies: the share of it that each axis explains, on scenes it was not learnt from.
+"""The share of a residual that each axis explains, cross-validated over scenes.
 
-Every axis is a regression of the residual on what that axis says of a pixel: its luma, its radius times its
-value, its place in the 8x8 grid. It is learnt on some scenes and scored on others, so that a share is
-neither a matter of many bins nor of one scene's layout; scenes that are not scored at all teach too, for few
-teach little. What a simpler axis says already is not counted twice: the neighbourhood, for one, counts at
-fixed luma, whatever each scene's own curve is, or else whatever the curve of all is. Significance comes from
-flipping the signs of whole tiles, with the largest of all axes as the reference.
+Each axis is a regression of the residual on features of a pixel: luma, radius times value, position in the
+8x8 grid and so on. It is fitted on some scenes and scored on others. Neither many bins nor the layout of one
+scene can therefore raise a share. Scenes that are not scored are used for fitting too.
+
+Features that belong to simpler axes are fitted first and do not count. For example, the neighbourhood counts
+only beyond a curve of luma; this curve is either each scene's own or common to all scenes.
+
+Significance comes from random sign flips of whole tiles, compared with the largest of all axes.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,8 +22,8 @@ from jaxisp.gap.axes.profiles import Profiles
 from jaxisp.gap.axes.scores import Bins, Changing, Explained, Lines, Regression, Repeated, Tail, Tiles, cut
 
 DRAWS = 199
-_SLACK = 0.01  # of the energy: where less is left, nothing can be said of it
-_ROUNDING = 0.3  # least standard deviation, in steps, that 8 bits leave
+_SLACK = 0.01  # share of the energy added to the denominator of a share, where simpler axes leave little
+_ROUNDING = 0.3  # 8-bit steps, standard deviation of rounding
 
 Find = Callable[[np.ndarray, Tiles], Explained]
 
@@ -40,24 +42,29 @@ def where(
     """Rank the axes by the share of the residual that they explain.
 
     Args:
-        residual: (N, h, w, 3) target less simulator in Y'CbCr, 8-bit steps.
-        picture: (N, h, w, 3) the simulator's picture in the same unit, its corner on the CFA's and the 8x8
-            grid.
-        weight: (N, h, w) in [0, 1].
-        cfa_period: of the colour filter array.
-        scenes: the name of the scene that each shows, where several are frames of one.
-        scored: how many are described, the first; the rest only teach. All if None.
-        earlier: the row and column where 8x8 blocks of an earlier compression began; (0, 0) of none.
+        residual: (N, h, w, 3) target minus simulator, Y'CbCr in 8-bit steps.
+        picture: (N, h, w, 3) the simulator's picture, likewise. Its corner is a corner of the CFA's cells and
+            of the 8x8 blocks.
+        weight: (N, h, w) weight of each pixel, in [0, 1].
+        cfa_period: period of the colour filter array [px].
+        scenes: (N,) name of each picture's scene; default: every picture shows a scene of its own.
+        scored: number of leading pictures that are scored; the others are only used for fitting. None: all.
+        earlier: row and column, 0 to 7, where the 8x8 blocks of an earlier compression begin; (0, 0) if none.
         rng: for folds and signs.
 
     Returns:
-        for each axis, largest first: `axis`; `share`, in [0, 1], of the weighted mean square that simpler
-        axes leave; `ci`, [low, high], the 90 % interval of that over draws of the scenes, with what was
-        learnt left as it is, or None of one scene; `p_value`, corrected over the axes; `bins` and `profile`
-        to plot, in `unit`; the `channel` that shows it most; and `channels`, the share by channel.
+        one row for each axis, largest share first:
+
+        - `axis`: its name.
+        - `share`: explained share of the weighted mean square that simpler axes leave, in [0, 1].
+        - `ci`: [low, high], the 90 % bootstrap interval of the share over scenes, with the fit held fixed;
+          None if there is one scene.
+        - `p_value`: corrected for the number of axes.
+        - `bins`, `profile`, `unit`: the profile to plot.
+        - `channel`, `channels`: the channel with the largest share, and the share of each channel.
 
     Raises:
-        ValueError: shapes do not match, or are smaller than 64 px a side.
+        ValueError: the shapes do not match, or a side is shorter than 64 px.
     """
     n, h, w = weight.shape
     if residual.shape != (n, h, w, 3) or picture.shape != residual.shape or min(h, w) < 64:
@@ -89,7 +96,7 @@ def where(
 
 
 def _explains(e: Explained, energies: np.ndarray, draws: Draws | None) -> tuple[np.ndarray, dict[str, Any]]:
-    """(3,) by channel, and the `share` in all with its interval `ci`, of the (N, 3) energies that count."""
+    """Shares (3,) by channel, and the total `share` with its interval `ci`; `energies` is (N, 3)."""
     shares = _shares(e.own[0], np.broadcast_to(e.known, e.own.shape)[0], energies.sum(0))
     share, ci = float(np.clip(shares.sum(), 0, 1)), None
     if draws is not None:
@@ -99,11 +106,12 @@ def _explains(e: Explained, energies: np.ndarray, draws: Draws | None) -> tuple[
 
 
 def _shares(own: np.ndarray, known: np.ndarray, energy: np.ndarray) -> np.ndarray:
-    """(..., 3) by channel, of all energy: what is explained of what the simpler axes leave.
+    """Explained share (..., 3) by channel of the energy that simpler axes leave; the shares add up.
 
     Args:
-        own, known: (..., 3) as `Explained` has them.
-        energy: (..., 3) weighted squares of the residual.
+        own: (..., 3) as in `Explained`.
+        known: (..., 3) as in `Explained`.
+        energy: (..., 3) sums of weighted squares of the residual.
     """
     total = energy.sum(-1, keepdims=True) + 1e-9
     known = np.clip(known, 0, energy)
@@ -115,7 +123,10 @@ def _shares(own: np.ndarray, known: np.ndarray, energy: np.ndarray) -> np.ndarra
 
 
 def _corrected(shares: dict[str, np.ndarray]) -> dict[str, float]:
-    """The chance that the largest of all axes, each in its own null's unit, is as large as this one."""
+    """P-value of each axis: how often the largest of all axes is as large under random signs.
+
+    Each axis is standardised by its own null distribution. `shares` holds (D,) by axis; draw 0 has no flips.
+    """
     every = np.stack(list(shares.values()))
     scaled = (every - every.mean(1, keepdims=True)) / (every.std(1, keepdims=True) + 1e-15)
     largest = scaled.max(0)
@@ -123,7 +134,7 @@ def _corrected(shares: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 class _Evidence:
-    """The sums of every axis, taken in scene by scene: those that are scored, then those that only teach."""
+    """Sums for all axes, accumulated scene by scene: scored scenes first, then scenes used to fit only."""
 
     def __init__(
         self,
@@ -147,12 +158,12 @@ class _Evidence:
         self._grids = {grid: _opposite(grid, earlier) for grid in {(0, 0), earlier}}
         self._blocks = {grid: (Bins(), Bins()) for grid in self._grids}
         self.profiles = Profiles(period)
-        self.energies: list[np.ndarray] = []  # (2, 3) of each, by channel; chroma plain, and in polar form
+        self.energies: list[np.ndarray] = []  # (2, 3) by picture: chroma plain or polar, and channel
         self._scenes = len(set(scenes))
         self._frames = [f"{s + 1}.{list(scenes[:i]).count(s)}" for i, s in enumerate(scenes)]
 
     def add(self, scene: Scene, residual: np.ndarray, weight: np.ndarray) -> None:
-        """One scene: residual (h, w, 3), weight (h, w)."""
+        """Add one scene: residual (h, w, 3) in 8-bit steps, weight (h, w)."""
         polar = scene.polar(residual)
         for axis, (build, _) in self._known.items():
             self._regressions[axis].add(
@@ -202,7 +213,7 @@ class _Evidence:
         self._columns.add(residual.swapaxes(0, 1), weight.T, tile_of_column, down)
 
     def _add_blocks(self, scene: Scene, residual: np.ndarray) -> None:
-        """Slopes of the residual's 8x8 cosine coefficients on the picture's, on each grid and off it."""
+        """Add slopes of the residual's 8x8 cosine coefficients on the picture's, on each grid and off it."""
         for grid, off in self._grids.items():
             for place, bins in zip((grid, off), self._blocks[grid]):
                 ours, theirs = (
@@ -231,9 +242,9 @@ class _Evidence:
                 self._tail.add(values, scale, len(self.energies) - 1)
 
     def axes(self) -> dict[str, Find]:
-        """By axis, the energy explained for given signs."""
+        """By axis, a function that returns the energy explained under given signs."""
         bins, lines = self._bins, (self._rows, self._columns)
-        scored = self._scored * len(self._tiles.slices)  # the tiles of the pictures that are scored
+        scored = self._scored * len(self._tiles.slices)  # number of tiles of the scored pictures
 
         def alone(find: Find) -> Find:
             return lambda signs, tiles: find(signs[:, :scored], tiles)
@@ -254,12 +265,12 @@ class _Evidence:
             return found
 
         def edge(signs: np.ndarray, tiles: Tiles) -> Explained:
-            """Alike all over, or a displacement that differs from place to place and by scene."""
+            """The larger of two models: one filter everywhere, or a displacement that varies by place."""
             own = self._displaced.nearby(signs[:, :scored], tiles)
             return _larger(self._regressions["edge"].explained(signs, tiles), own)
 
         def neighbourhood(signs: np.ndarray, tiles: Tiles) -> Explained:
-            """Beside each scene's own curve, or beside one of all: that of a scene is its whole light's."""
+            """The larger of two models: beyond a luma curve by scene, or beyond one curve of all scenes."""
             regression = self._regressions["neighbourhood"]
             return _larger(regression.explained(signs, tiles), regression.shared(signs, tiles))
 
@@ -280,14 +291,19 @@ class _Evidence:
 
 
 def _opposite(grid: tuple[int, int], earlier: tuple[int, int]) -> tuple[int, int]:
-    """A place half a block off, or a quarter where the other grid is there: what is not locked to a grid is
-    the same at all places."""
+    """A reference grid half a block away, or a quarter of a block if another grid lies there.
+
+    A residual that is not locked to a grid explains the same on and off it.
+    """
     half, quarter = (((grid[0] + by) % 8, (grid[1] + by) % 8) for by in (4, 2))
     return quarter if half in ((0, 0), earlier) else half
 
 
 def _flat(edge: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The weight of the flatter half of a scene, less the border, where filters see pixels twice."""
+    """Weight (h, w) restricted to the flatter half of a scene, without the border of 7 px.
+
+    Filters repeat pixels at the border.
+    """
     inner = np.zeros_like(weight)
     inner[7:-7, 7:-7] = weight[7:-7, 7:-7]
     counted = edge[inner > 0]
@@ -295,7 +311,7 @@ def _flat(edge: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _larger(a: Explained, b: Explained) -> Explained:
-    """The one that explains more, draw by draw."""
+    """The larger of two explained energies, chosen separately for each draw."""
     first = a.own.sum(1, keepdims=True) >= b.own.sum(1, keepdims=True)
     own, known = np.where(first, a.own, b.own), np.where(first, a.known, b.known)
     chosen = a if first[0] else b
@@ -312,14 +328,14 @@ def _sums(
 
 
 def _slopes(ours: np.ndarray, theirs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By coefficient and by its size in octaves: sums of the product and of the square."""
+    """Sums (512,) of products and of squares, by cosine coefficient and its magnitude in octaves."""
     octave = np.clip(np.log2(np.abs(ours) + 1e-6).astype(int) + 1, 0, 7)
     index = (octave + 8 * np.arange(64).reshape(8, 8)).ravel()
     return np.bincount(index, (ours * theirs).ravel(), 512), np.bincount(index, (ours**2).ravel(), 512)
 
 
 def _unlocked(detail: np.ndarray) -> np.ndarray:
-    """Less the means of rows, of columns and of places in the 8x8 grid, which are axes of their own."""
+    """Subtract the means of rows, columns and positions in the 8x8 grid, which other axes measure."""
     detail = detail - detail.mean(0, keepdims=True)
     detail = detail - detail.mean(1, keepdims=True)
     for dy in range(8):

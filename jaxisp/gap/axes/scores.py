@@ -1,6 +1,9 @@
-"""How much of a residual something explains on scenes, or halves of scenes, it was not learnt from.
+"""Scores: the energy of a residual that a model explains on scenes, or parts of scenes, held out of its fit.
 
-Each score keeps sums by tile, so that flipping the sign of a tile's residual costs next to nothing.
+Each score keeps sums by tile, so that sign flips of a tile's residual are cheap.
+
+Shapes: D draws of signs, N pictures, T tiles in a picture, B = N T tiles in all; 3 channels Y'CbCr. Energies
+are sums of squared 8-bit steps.
 """
 
 from collections.abc import Callable, Sequence
@@ -8,17 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_RIDGE = 30  # pixels' worth of zeros that every coefficient sees
+_RIDGE = 30  # pixels; the ridge of every coefficient equals this many observations of 0
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """What a sign is drawn for: a part of a scene.
+    """The tiles of all pictures; a random sign is drawn for each.
 
     Attributes:
-        slices: rows and columns of each, row by row, the same in all scenes.
-        across: how many there are side by side.
-        folds: each time (2, B), scene after scene: the tiles that are learnt from, and those that are scored.
+        slices: row and column slices of the tiles of a picture, row by row, the same for all pictures.
+        across: number of tiles side by side.
+        folds: (folds, 2, B) bool, picture by picture: tiles used for fitting, and tiles that are scored.
     """
 
     slices: list[tuple[slice, slice]]
@@ -27,35 +30,36 @@ class Tiles:
 
     @property
     def count(self) -> int:
-        """How many there are in all pictures."""
+        """Number B of tiles in all pictures."""
         return self.folds.shape[-1]
 
     def of_scene(self, signs: np.ndarray, scene: int) -> np.ndarray:
-        """(D, down, across) of one scene's signs, out of all (D, B)."""
+        """Signs (D, down, across) of one picture, out of all signs (D, B)."""
         own = signs[:, scene * len(self.slices) : (scene + 1) * len(self.slices)]
         return own.reshape(len(signs), -1, self.across)
 
     def around(self, sums: np.ndarray) -> np.ndarray:
-        """(B, ...) sums over the up to eight tiles around each of (B, ...)."""
+        """Sums over the up to eight tiles around each tile; `sums` and the result are (B, ...)."""
         grid = sums.reshape(-1, len(self.slices) // self.across, self.across, *sums.shape[1:])
         padded = np.pad(grid, [(0, 0), (1, 1), (1, 1), *[(0, 0)] * (sums.ndim - 1)])
         across = padded[:, :, :-2] + padded[:, :, 1:-1] + padded[:, :, 2:]
         return (across[:, :-2] + across[:, 1:-1] + across[:, 2:] - grid).reshape(sums.shape)
 
     def by_picture(self, scores: np.ndarray) -> np.ndarray:
-        """(N, 3) sums over the tiles of each, out of all (B, 3)."""
+        """Sums (N, 3) over the tiles of each picture, from scores (B, 3)."""
         return np.asarray(scores.reshape(-1, len(self.slices), scores.shape[-1]).sum(1))
 
 
 def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray, scored: int) -> Tiles:
-    """Tiles of a sixth of a scene's sides, on the 8x8 grid, or of 32 px where there is one scene only.
+    """Cut pictures into tiles on the 8x8 grid, and assign the tiles to folds.
+
+    A tile has a sixth of the picture's sides, at least 32 px; it has 32 px if there is one scene.
 
     Args:
-        shape: (N, h, w).
+        shape: (N, h, w) of the pictures.
         rng: for the order of the folds.
-        scenes: the (N,) numbers of the pictures' scenes, from 0. What one frame of a scene teaches is not
-            scored on another.
-        scored: how many pictures are, the first; the rest only teach.
+        scenes: (N,) number of each picture's scene, from 0. Frames of one of several scenes share a fold.
+        scored: number of leading pictures that are scored; the others are only used for fitting.
     """
     h, w = shape[1:3]
     n = scenes.max() + 1
@@ -68,7 +72,7 @@ def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray, scor
     groups = np.repeat(scenes, len(slices)) if n > 1 else np.tile(np.arange(len(slices)), len(scenes))
     counted = np.arange(len(groups)) < scored * len(slices)
     every, many = groups.max() + 1, groups[counted].max() + 1
-    count = max(min(4, many), 1 if every > many else 2)  # somebody must teach
+    count = max(min(4, many), 1 if every > many else 2)  # at least one group must remain for fitting
     fold = np.concatenate([rng.permutation(many) % count, np.full(every - many, -1)])[groups]
     folds = [(fold != f, (fold == f) & counted) for f in range(count)]
     return Tiles(slices, len(edges[1]), np.stack(folds))
@@ -76,13 +80,13 @@ def cut(shape: Sequence[int], rng: np.random.Generator, scenes: np.ndarray, scor
 
 @dataclass(frozen=True)
 class Explained:
-    """Energies by channel, for each draw of signs; the first of these flips none.
+    """Explained energies by channel for each draw of signs; draw 0 flips no sign.
 
     Attributes:
-        own: (D, 3) what is explained beyond `known`.
-        own_by: (N, 3) what each picture adds to that of the first draw, by what was learnt on the others.
-        known: (D, 3) or 0, what simpler axes explain.
-        known_by: (N, 3) or 0, likewise.
+        own: (D, 3) energy explained beyond `known`.
+        own_by: (N, 3) contribution of each picture to draw 0 of `own`, with the fit of the other folds.
+        known: (D, 3) energy explained by simpler axes, or 0.
+        known_by: (N, 3) contribution of each picture to draw 0 of `known`, or 0.
     """
 
     own: np.ndarray
@@ -92,14 +96,19 @@ class Explained:
 
 
 _Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Gram matrices, slopes and support of pictures, as `_by_picture` has them."""
+"""Gram matrices, slopes and support of pictures, as `_by_picture` returns them."""
 _Score = Callable[[int, Sequence[int], _Sums, _Sums], tuple[np.ndarray, np.ndarray]]
 
 
 class Regression:
-    """Least squares on features; the first `given` of them, by channel, say what other axes say already. What
-    these explain each picture says for itself: a scene's own curve does not depend on the surroundings,
-    though the curves of scenes differ where that is what a camera looks at."""
+    """Least squares on features, with some features left to simpler axes.
+
+    The first `given` features of each channel belong to simpler axes. Their coefficients are fitted to each
+    picture separately. The energy that they explain does not count for this axis.
+
+    Args:
+        given: number of such features, by channel.
+    """
 
     def __init__(self, given: Sequence[int] = (0, 0, 0)) -> None:
         self.given = given
@@ -110,7 +119,7 @@ class Regression:
     def add(
         self, features: Sequence[np.ndarray], target: np.ndarray, weight: np.ndarray, tiles: Tiles
     ) -> None:
-        """Take in one scene: (h, w) features and weight, (h, w, 3) target."""
+        """Add one picture: features and weight (h, w), target (h, w, 3)."""
         stacked = np.stack(features, -1).astype(np.float32)
         for rows, columns in tiles.slices:
             f = stacked[rows, columns].reshape(-1, stacked.shape[-1])
@@ -121,10 +130,11 @@ class Regression:
             self._support.append(w[:, 0] @ (f != 0))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the features beyond the first `given`, for signs (D, B)."""
         return self._summed(signs, tiles, _scored)
 
     def shared(self, signs: np.ndarray, tiles: Tiles) -> Explained:
-        """Where all pictures have in common also what the first features explain."""
+        """Like `explained`, with common coefficients of the first features for all pictures."""
         return self._summed(signs, tiles, _scored_alike)
 
     def _summed(self, signs: np.ndarray, tiles: Tiles, score: _Score) -> Explained:
@@ -144,8 +154,10 @@ class Regression:
         return Explained(own, own_by, known, known_by)
 
     def nearby(self, signs: np.ndarray, tiles: Tiles) -> Explained:
-        """Of each tile what those around it say, beyond what the first features explain of either: the
-        coefficients may differ from place to place."""
+        """Energy of each tile explained by a fit to the tiles around it.
+
+        The coefficients may vary over the frame. Energy that the first features explain does not count.
+        """
         counted = signs.shape[1]
         gram, slope, support = (np.stack(a)[:counted] for a in (self._gram, self._slope, self._support))
         by_tile = np.zeros((len(signs), counted, 3))
@@ -162,8 +174,10 @@ class Regression:
 def _scored(
     given: int, channels: Sequence[int], learnt: _Sums, scored: _Sums
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(D, P, C) twice, of what is scored: what the last features explain of it, learnt elsewhere, and what
-    the first `given` do, each picture for itself."""
+    """Energies (D, P, C) of the scored tiles, explained by the last features and by the first `given`.
+
+    The last features are fitted to `learnt`; the first are fitted to each scored picture.
+    """
     gram, slope, _, support = _beyond(given, channels, *learnt)
     found = _solved(gram.sum(0), slope.sum(1), support.sum(0))
     gram, slope, before, _ = _beyond(given, channels, *scored)
@@ -173,7 +187,7 @@ def _scored(
 def _scored_alike(
     given: int, channels: Sequence[int], learnt: _Sums, scored: _Sums
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `_scored`, where what the first `given` features explain is learnt elsewhere too."""
+    """Like `_scored`, with the first `given` features fitted to `learnt` too."""
     gram, slope, support = (a.sum(axis) for a, axis in zip(learnt, (0, 1, 0)))
     gains = []
     for count in (given, len(gram)):
@@ -191,7 +205,7 @@ def _by_picture(
     part: np.ndarray,
     pictures: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums of what is kept by tile over those in a part: (P, F, F), (D, P, F, 3) and (P, F)."""
+    """Sum the tiles of a part by picture: Gram matrices (P, F, F), slopes (D, P, F, 3), support (P, F)."""
     counts = part.astype(float).reshape(pictures, -1)
     signed = signs.reshape(len(signs), pictures, -1) * counts
     gram, slope, support = (a.reshape(*counts.shape, *a.shape[1:]) for a in (gram, slope, support))
@@ -203,11 +217,11 @@ def _by_picture(
 def _beyond(
     given: int, channels: Sequence[int], gram: np.ndarray, slope: np.ndarray, support: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What each picture has beyond what its first `given` features explain there.
+    """Project the first `given` features out of the others, picture by picture.
 
     Returns:
-        (P, U, U), (D, P, U, C) and (P, U) of the other features, without what is in the first; and before the
-        last the energies (D, P, C) that the first explain.
+        of the U other features: Gram matrices (P, U, U) and slopes (D, P, U, C); then the energies (D, P, C)
+        that the first features explain; then the support (P, U) of the others.
     """
     slope = slope[..., channels]
     if not given:
@@ -222,19 +236,24 @@ def _beyond(
 
 
 def _solved(gram: np.ndarray, slope: np.ndarray, support: np.ndarray) -> np.ndarray:
-    """Coefficients (..., F, C) that see some pixels' worth of zeros; of (F, F) or (P, F, F) grams."""
+    """Ridge regression: coefficients (..., F, C) of Gram matrices (F, F) or (P, F, F)."""
     diagonal = np.einsum("...ff->...f", gram) + 1e-12
     ridge = diagonal * (1e-5 + _RIDGE / (support + _RIDGE))
     return np.linalg.solve(gram + ridge[..., None] * np.eye(gram.shape[-1]), slope)
 
 
 def _gained(found: np.ndarray, gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """The energy (..., C) that coefficients explain."""
+    """Energy (..., C) that the coefficients explain."""
     return np.asarray((found * (2 * slope - gram @ found)).sum(-2))
 
 
 class Bins:
-    """A mean, or a slope, in each bin; `coarser` says of which coarser bin, known already, it is a part."""
+    """A mean, or a slope, for each of K bins.
+
+    Args:
+        coarser: (K,) index of the coarser bin that contains each bin. Energy that the coarser bins explain is
+            `known`. Default: no coarser bins.
+    """
 
     def __init__(self, coarser: np.ndarray | None = None) -> None:
         self._merge = None if coarser is None else np.eye(coarser.max() + 1)[:, coarser]
@@ -242,11 +261,12 @@ class Bins:
         self._counts: list[np.ndarray] = []
 
     def add(self, sums: np.ndarray, counts: np.ndarray) -> None:
-        """Take in one tile: (K, 3) sums of the target times the feature, (K, 3) of the feature's square."""
+        """Add one tile: sums (K, 3) of target times feature, and sums (K, 3) of the squared feature."""
         self._sums.append(sums)
         self._counts.append(counts)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the bins beyond the coarser bins, for signs (D, B)."""
         sums, counts = np.stack(self._sums), np.stack(self._counts)
         total, total_by = _gain(signs, sums, counts, tiles)
         if self._merge is None:
@@ -258,7 +278,7 @@ class Bins:
 def _gain(
     signs: np.ndarray, sums: np.ndarray, counts: np.ndarray, tiles: Tiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(D, 3) of each draw, and (N, 3) of the first's by picture."""
+    """Explained energy (D, 3) by draw, and that of draw 0 by picture (N, 3)."""
     total, by_tile = np.zeros((len(signs), 3)), np.zeros((len(sums), 3))
     for learn, test in tiles.folds:
         learnt, scored = (np.tensordot(signs[:, part], sums[part], 1) for part in (learn, test))
@@ -269,19 +289,33 @@ def _gain(
 
 
 class Lines:
-    """What one half of a row, in every second tile, says of its other half, beyond the mean of 8 rows."""
+    """Offsets of rows: one half of a row predicts the other half, beyond the mean of 8 rows.
+
+    The halves are the even and the odd tiles along the row.
+    """
 
     def __init__(self) -> None:
         self._scenes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, target: np.ndarray, weight: np.ndarray, rows: np.ndarray, columns: Sequence[slice]) -> None:
-        """Take in one scene, its columns cut by tiles; `rows` (h,) says in which tile a row is."""
+        """Add one picture: target (h, w, 3), weight (h, w).
+
+        Args:
+            target: (h, w, 3) residual.
+            weight: (h, w) weight of each pixel.
+            rows: (h,) index of the tile row that contains each row.
+            columns: column slices of the tiles.
+        """
         weighted = target * weight[..., None]
         sums = np.stack([weighted[:, c].sum(1) for c in columns], 1)
         counts = np.stack([weight[:, c].sum(1) for c in columns], 1)
         self._scenes.append((sums.astype(np.float64), counts.astype(np.float64), rows))
 
     def explained(self, signs: np.ndarray, tiles: Tiles, *, transposed: bool = False) -> Explained:
+        """Energy explained by offsets of rows, for signs (D, B).
+
+        `transposed`: the pictures were added transposed, so that columns are measured.
+        """
         total, by_picture = np.zeros((len(signs), 3)), []
         for scene, (sums, counts, rows) in enumerate(self._scenes):
             own = tiles.of_scene(signs, scene)
@@ -302,18 +336,22 @@ def _half_gain(a: np.ndarray, b: np.ndarray, pixels_a: np.ndarray, pixels_b: np.
 
 
 class Repeated:
-    """What is at the same place in all scenes: the mean product of two scenes."""
+    """Fixed pattern: the mean product of the residuals of two scenes.
+
+    Args:
+        scenes: (N,) number of each picture's scene.
+    """
 
     def __init__(self, scenes: np.ndarray) -> None:
         self._apart = np.not_equal.outer(scenes, scenes)
         self._scenes: list[np.ndarray] = []
 
     def add(self, detail: np.ndarray) -> None:
-        """Take in one scene: (h, w, 3), what is not to count being 0."""
+        """Add one picture (h, w, 3); masked pixels are 0."""
         self._scenes.append(detail)
 
     def products(self, tiles: Tiles) -> np.ndarray:
-        """(T, 3, N, N) sums of the products of two scenes in each tile."""
+        """Sums (T, 3, N, N) of the products of two pictures in each tile."""
         return np.stack([self._tile(rows, columns) for rows, columns in tiles.slices])
 
     def _tile(self, rows: slice, columns: slice) -> np.ndarray:
@@ -321,6 +359,7 @@ class Repeated:
         return (flat @ flat.swapaxes(1, 2)).astype(np.float64)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by the pattern of the other scenes, for signs (D, N T)."""
         others = self._apart.sum(1, keepdims=True)
         products = self.products(tiles) * (self._apart / np.maximum(others, 1))
         own = signs.reshape(len(signs), len(others), -1)
@@ -329,15 +368,23 @@ class Repeated:
 
     @staticmethod
     def _by_picture(products: np.ndarray) -> np.ndarray:
-        """(N, 3) what each picture adds to the sum of (3, N, N). A product is of two, and changes with how
-        often either is drawn: each counts with all that it is in, less half of that on average."""
+        """Contribution (N, 3) of each picture to the sum of products (3, N, N), for the bootstrap.
+
+        A product changes with the number of times that either picture is drawn. Each picture therefore gets
+        all its products; half their mean is subtracted to keep the total.
+        """
         twice = products.sum(1) + products.sum(2)
         return np.asarray((twice - twice.mean(1, keepdims=True) / 2).T)
 
 
 class Changing:
-    """By how much a frame is off beyond what its scene's frames are off by on average, all over: learnt on
-    one half of its tiles, as on a chessboard, and scored on the other."""
+    """Offset of a whole frame from the mean of its scene's frames.
+
+    It is fitted on one half of the tiles, as on a chessboard, and scored on the other.
+
+    Args:
+        scenes: (N,) number of each picture's scene.
+    """
 
     def __init__(self, scenes: np.ndarray) -> None:
         same = np.equal.outer(scenes, scenes).astype(float)
@@ -347,17 +394,18 @@ class Changing:
         self._counts: list[np.ndarray] = []
 
     def add(self, residual: np.ndarray, weight: np.ndarray, tiles: Tiles) -> None:
-        """Take in one frame: (h, w, 3) and (h, w)."""
+        """Add one frame: residual (h, w, 3), weight (h, w)."""
         weighted = residual * weight[..., None]
         self._sums.append(np.stack([weighted[t].sum((0, 1), dtype=np.float64) for t in tiles.slices]))
         self._counts.append(np.array([weight[t].sum(dtype=np.float64) for t in tiles.slices]))
 
     def means(self) -> np.ndarray:
-        """(N, 3) what each frame differs in."""
+        """Mean offset (N, 3) of each frame from its scene's mean, 8-bit steps."""
         counts = np.stack(self._counts).sum(1, keepdims=True)
         return np.asarray(self._apart @ (np.stack(self._sums).sum(1) / (counts + _RIDGE)))
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy explained by offsets of whole frames, for signs (D, N T)."""
         sums, counts = np.stack(self._sums), np.stack(self._counts)
         own = signs.reshape(len(signs), *counts.shape)
         rows, columns = np.divmod(np.arange(counts.shape[1]), tiles.across)
@@ -372,10 +420,10 @@ class Changing:
 
 
 class Tail:
-    """Energy beyond five robust standard deviations: a Gaussian has next to none there."""
+    """Energy beyond five robust standard deviations, where a Gaussian has almost none."""
 
     LIMIT = 5.0
-    _USUAL = 1.2e-6  # of a Gaussian's samples are beyond, where its deviation is 3 % off
+    _USUAL = 1.2e-6  # share of a Gaussian's samples beyond the limit, if its deviation is wrong by 3 %
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -384,14 +432,20 @@ class Tail:
         self._expected = np.zeros(3)
 
     def add(self, values: np.ndarray, scale: np.ndarray, picture: int) -> None:
-        """Take in one tile: (P, 3) detail of the residual where it is flat, (3,) standard deviations; and
-        the number of its picture."""
+        """Add one tile.
+
+        Args:
+            values: (P, 3) detail of the residual in flat areas.
+            scale: (3,) robust standard deviations.
+            picture: index of the tile's picture.
+        """
         far = np.abs(values) > self.LIMIT * scale
         self._energies.append((picture, (values**2 * far).sum(0)))
         self._one = np.maximum(self._one, (self.LIMIT * scale) ** 2)
         self._expected += self._USUAL * len(values)
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
+        """Energy beyond the limit; the null draws are Poisson counts of a Gaussian, so signs only give D."""
         draws = self._rng.poisson(self._expected, (len(signs), 3)) * self._one
         draws[0] = 0
         by_picture = np.zeros((tiles.count // len(tiles.slices), 3))

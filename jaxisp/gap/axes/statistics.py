@@ -1,4 +1,4 @@
-"""Where a gap of statistics lies: the axes, by how far the statistics of each differ."""
+"""Axes of the gap of clean+noisy pairs, from the differences of the statistics on each axis."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,15 +11,15 @@ from jaxisp.gap.features.residual_statistics import feature_names
 from jaxisp.gap.features.tolerances import axis_of, present, repeats
 
 _LEAKED = frozenset(("tail", "frequency", "intensity", "channel", "lag", "edge", "saturation", "hue"))
-"""Axes that a fixed pattern also shows on: its pixels are outliers to the statistics of a picture."""
+"""Axes that a fixed pattern leaks into: its pixels are outliers in the statistics of a picture."""
 _PLACE = "fixed_pattern"
-_BROAD = 8.0  # px: shading is smooth, and not counted as a place
-_SURELY = 5.0  # standard deviations of a median over scenes: of 10^5 pixels one may be so far off by chance
+_BROAD = 8.0  # px, sigma of a high-pass filter that removes shading
+_SURELY = 5.0  # standard deviations of a median over scenes; by chance, one of 10^5 pixels may exceed it
 _LEAST_NOISE = 0.5  # 8-bit steps
-_DEVIATION = 1.4826  # of a normal distribution, by its median
+_DEVIATION = 1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
 
 Above = dict[str, np.ndarray]
-"""By axis, what it has: one number, or (D,) by draw."""
+"""A value by axis: one number, or (D,) for D bootstrap draws."""
 
 
 def located(
@@ -28,22 +28,23 @@ def located(
     apart: np.ndarray,
     scenes: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """The axes by their share of what the gap has above what is harmless and chance.
+    """Rank the axes by their share of the gap beyond tolerance and chance.
 
     Args:
-        difference: (F,) of the statistics' means over pairs, in their units, times the roots of the weights.
-        weights: (F,) how much each counts.
-        apart: (N, F) of each pair, what `difference` is the mean of.
-        scenes: (N,) the name of each pair's scene.
+        difference: (F,) mean differences of the statistics over pairs, in units, times roots of `weights`.
+        weights: (F,) weights of the statistics.
+        apart: (N, F) differences of each pair; `difference` is their mean.
+        scenes: (N,) name of each pair's scene.
 
     Returns:
-        as `where` does, largest share first; `ci` is [low, high], the 90 % interval of the share over draws
-        of the scenes, units left as they are, or None of one scene; `size` is the mean square in units, and
-        `p_value` that of chance.
+        rows like those of `regression.where`, largest share first. `ci` is [low, high], the 90 % bootstrap
+        interval of the share over scenes with fixed units; None if there is one scene. `size` is the mean
+        squared difference in units. `p_value` is the probability of that size by chance.
     """
     names = feature_names()
     axes = np.array([axis_of(name) for name in names])
-    in_units, counted = difference / np.sqrt(weights), weights * present(weights).mean()  # of those, mean one
+    # scaled so that the weights of the statistics that are present have mean one
+    in_units, counted = difference / np.sqrt(weights), weights * present(weights).mean()
     shares = _shares(_above(difference**2 - weights, weights))
     draws = Draws.of(scenes)
     ci: dict[str, list[float] | None] = dict.fromkeys(shares)
@@ -75,15 +76,19 @@ def reattributed(
     apart: Sequence[np.ndarray],
     scenes: Sequence[str],
 ) -> Rows:
-    """The rows of `located`, with what other axes only have of things that stand in one place as that one's.
+    """Move the shares that a fixed pattern leaked into other axes to the axis "fixed_pattern".
 
     Args:
-        rows: of the first.
-        difference, without: (F,) as there, with what stands in one place and without it.
-        weights: (F,).
-        apart: (N, F) of each pair, for both, as there. What moves is each draw's own, so that `ci` is of the
-            share that is shown.
-        scenes: (N,) as there.
+        rows: result of `located` for `difference`.
+        difference: (F,) differences of all pixels, as in `located`.
+        without: (F,) differences without the pixels of the fixed pattern.
+        weights: (F,) weights of the statistics.
+        apart: two (N, F) differences of each pair, with and without these pixels. The leaked share is
+            computed anew for each bootstrap draw, so that `ci` belongs to the corrected share.
+        scenes: (N,) name of each pair's scene.
+
+    Returns:
+        the corrected rows, largest share first.
     """
     above, left = (_above(own**2 - weights, weights) for own in (difference, without))
     leaked = _leaked(above, left)
@@ -104,14 +109,14 @@ def reattributed(
 
 
 def in_one_place(residual: np.ndarray, scenes: Sequence[str]) -> np.ndarray:
-    """Where pictures differ from what they should be in most scenes alike, by far more than elsewhere.
+    """Find pixels whose residual is large and similar in most scenes.
 
     Args:
-        residual: (N, h, w, 3) in 8-bit steps.
-        scenes: the name of each pair's scene.
+        residual: (N, h, w, 3) Y'CbCr in 8-bit steps.
+        scenes: (N,) name of each pair's scene.
 
     Returns:
-        (h, w) bool; nowhere if the scenes are fewer than three.
+        mask (h, w) bool of these pixels and their neighbours; all False with fewer than three scenes.
     """
     from scipy.ndimage import binary_dilation
 
@@ -120,12 +125,13 @@ def in_one_place(residual: np.ndarray, scenes: Sequence[str]) -> np.ndarray:
         return np.zeros(residual.shape[1:3], bool)
     apart = np.stack([_standardised(residual[own].mean(0)) for own in each])
     repeated = np.median(apart, 0) * np.sqrt(2 * len(each) / np.pi)
-    usual = np.maximum(_DEVIATION * np.median(np.abs(repeated), (0, 1)), 1.0)  # more: each pixel is its own
+    # above 1 if every pixel has an offset of its own, as with PRNU
+    usual = np.maximum(_DEVIATION * np.median(np.abs(repeated), (0, 1)), 1.0)
     return np.asarray(binary_dilation((np.abs(repeated) > _SURELY * usual).any(-1)))
 
 
 def _standardised(residual: np.ndarray) -> np.ndarray:
-    """(h, w, 3) its fine part in standard deviations of the noise around."""
+    """High-pass part of a residual (h, w, 3), in standard deviations of the noise around each pixel."""
     from scipy.ndimage import gaussian_filter
 
     fine = residual - gaussian_filter(residual, (_BROAD, _BROAD, 0))
@@ -135,15 +141,18 @@ def _standardised(residual: np.ndarray) -> np.ndarray:
 
 
 def _excess(difference: np.ndarray, apart: np.ndarray, draws: Draws, weights: np.ndarray) -> np.ndarray:
-    """(D, F) squares of the draws' differences above the weights. The chance of drawing is not added to that
-    of the scenes themselves, which the units hold already: on average draws have what all (F,) have."""
+    """Squared differences (D, F) of bootstrap draws, minus the weights.
+
+    The units already contain the variance between scenes. The variance that the bootstrap adds is therefore
+    removed: the mean over draws equals the value (F,) of all pairs.
+    """
     off = np.sqrt(repeats()) * (draws.means(apart) - apart.mean(0))
     squares = (difference + off) ** 2
     return np.asarray(squares - squares.mean(0) + difference**2 - weights)
 
 
 def _above(excess: np.ndarray, weights: np.ndarray) -> Above:
-    """By axis the sum of the excess (..., F), where it is positive."""
+    """Sum of the excess (..., F) over the statistics of each axis, clipped at 0."""
     axes, counted = np.array([axis_of(name) for name in feature_names()]), present(weights)
     return {
         str(axis): np.maximum(excess[..., counted & (axes == axis)].sum(-1), 0.0)
@@ -161,13 +170,13 @@ def _shares(above: Above) -> Above:
 
 
 def _leaked(above: Above, left: Above) -> Above:
-    """By axis the share that it has only of what stands in one place."""
+    """Share of each axis that disappears without the pixels of the fixed pattern."""
     total = sum(above.values()) + 1e-9
     return {a: np.maximum(above[a] - left[a], 0.0) / total for a in above if a in _LEAKED}
 
 
 def _moved(above: Above, left: Above) -> Above:
-    """The shares, with what is leaked as that axis's own."""
+    """Shares of the axes, with the leaked shares moved to "fixed_pattern"."""
     leaked = _leaked(above, left)
     moved = leaked | {_PLACE: -sum(leaked.values())}
     return {axis: share - moved.get(axis, 0.0) for axis, share in _shares(above).items()}
@@ -184,7 +193,7 @@ def _short(name: str) -> str:
 
 
 def _p_value(mean_square: float) -> float:
-    """Of a mean square of differences in units of what is harmless, taken for four independent ones."""
+    """P-value of a mean squared difference in units; an axis counts as four independent statistics."""
     from scipy.stats import chi2
 
     return float(chi2.sf(4 * mean_square, 4))

@@ -1,1 +1,1 @@
-"""The simulator before any effect is added: fitted, or given."""
+"""The base: the simulator before any effect is added, either fitted or given."""

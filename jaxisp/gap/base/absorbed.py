@@ -1,4 +1,4 @@
-"""What a plain base that was fitted absorbs of the effects that are part of it."""
+"""Shares of the error that a fitted plain base absorbs through the effects that are part of it."""
 
 import dataclasses
 
@@ -12,8 +12,20 @@ from jaxisp.stages.balanced_noise import BalancedNoise
 
 
 def absorbed_shares(objective: Objective, fitted: Model, start: Params, which: list[int]) -> dict[str, float]:
-    """By effect, the share of the error of these pairs that would be there with it as at the start, all else
-    as fitted, and is not: of tone curve, colour matrix, white balance and black level."""
+    """Share of the error that tone curve, colour matrix, white balance and black level each absorb.
+
+    One effect at a time is reset to its start; the others stay fitted. The share is the drop of the error
+    relative to the error with this reset.
+
+    Args:
+        objective: of the pairs.
+        fitted: the fitted base.
+        start: parameters before the fit.
+        which: indices of the pairs.
+
+    Returns:
+        the share in [0, 1] by effect.
+    """
     return {
         name: _share(objective, fitted, params, which)
         for name, params in _put_back(fitted.shared, start).items()
@@ -21,15 +33,17 @@ def absorbed_shares(objective: Objective, fitted: Model, start: Params, which: l
 
 
 def absorbed_noise(objective: Objective, fitted: Model, start: BalancedNoise, which: list[int]) -> float:
-    """Likewise of the base's noise; `start` has the `shot` and `read` of before."""
+    """Like `absorbed_shares`, for the base's noise; `start` holds `shot` and `read` before the fit."""
     noise = fitted.shared["balanced_noise"]
     before = dataclasses.replace(noise, shot=start.shot, read=start.read)
     return _share(objective, fitted, {"balanced_noise": before}, which)
 
 
 def _put_back(fitted: Params, start: Params) -> dict[str, Params]:
-    """The parameters of before, effect by effect. White balance is what the matrix does to grey, but for how
-    bright it makes it."""
+    """Parameters with one effect reset to its start, by effect.
+
+    White balance is the action of the matrix on grey, without the change of brightness.
+    """
     now, then = (np.asarray(p["color_matrix"].matrix, float) for p in (fitted, start))
     gains = np.maximum(now.sum(1), 1e-3) / np.maximum(then.sum(1), 1e-3)
     matrices = {"color_matrix": then * gains[:, None], "white_balance": now / (gains / gains[1])[:, None]}

@@ -1,7 +1,7 @@
-"""Pairs that were cut at different places of the colour filter array, moved so that it is one.
+"""Alignment of pairs that were cropped at different phases of the colour filter array.
 
-Crops of several phones, or at odd offsets, have no pattern in common; one pattern for all leaves a gap on its
-phase that no effect accounts for.
+Crops of several phones, or at odd offsets, have different Bayer patterns. A single pattern for all of them
+would leave a gap on the CFA phase that no effect explains.
 """
 
 import dataclasses
@@ -17,20 +17,26 @@ from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.pairs import Pairs
 
 _APART = 0.1
-"""What logarithms of variances differ by where the pattern is right: chance is a third of it."""
+"""Difference of log variances for the right pattern; chance alone gives a third of it."""
 _SURELY = 30.0
-"""Twice the logarithm of the odds from which on one pair shows that not all have one pattern."""
+"""Twice the log odds at which one pair proves that the pairs have different patterns."""
 _MOVES = tuple(itertools.product((0, 1), repeat=2))
 
 
 def moves(real: np.ndarray, simulated: np.ndarray, mean: MeanFit) -> np.ndarray:
-    """(N, 2) rows and columns, 0 or 1, by which each pair has to be moved to have the pattern of the others:
-    with which its noise is strong where it is in the simulation, and its edges have the errors that
-    demosaicking leaves there. 0 for all where that is one for all.
+    """Find the shift that gives each pair the common pattern.
+
+    The shift aligns the phase of the noise variance with the simulation, and the demosaicking errors at
+    edges.
 
     Args:
-        real, simulated: (N, F) statistics, as `features` has them.
-        mean: the noise-free base at its best.
+        real: (N, F) statistics of the real pictures, see `residual_statistics.features`.
+        simulated: (N, F) statistics of the simulated pictures.
+        mean: the fitted noise-free base.
+
+    Returns:
+        shifts (N, 2) in rows and columns, 0 or 1; all 0 if the pairs have one pattern or the evidence is
+        weak.
     """
     names = feature_names()
     at = [[[names.index(f"logvar cfa_phase {c}{i}{j}") for j in (0, 1)] for i in (0, 1)] for c in CHANNELS]
@@ -44,8 +50,10 @@ def moves(real: np.ndarray, simulated: np.ndarray, mean: MeanFit) -> np.ndarray:
 
 
 def _edges(mean: MeanFit) -> np.ndarray:
-    """(4, N) minus twice the log-likelihood of each pair's pixels, moved in each way, but for a constant:
-    errors of next neighbours are alike, so that a tenth of them counts."""
+    """Minus twice the log-likelihood (4, N) of each pair's pixels under each shift, up to a constant.
+
+    Errors of neighbouring pixels are correlated, so only a tenth of the pixels counts.
+    """
     pairs, point = mean.objective.pairs, mean.point
     count = pairs.mask.sum((1, 2)) / 10
     found = []
@@ -56,7 +64,7 @@ def _edges(mean: MeanFit) -> np.ndarray:
 
 
 def moved(pairs: Pairs, by: np.ndarray) -> Pairs:
-    """Each pair moved by its own (row, column); what goes round lies in the border, which does not count."""
+    """Shift each pair by its (row, column) in `by` (N, 2), cyclically; the border is masked anyway."""
 
     def turned(stack: np.ndarray) -> np.ndarray:
         return np.stack([np.roll(one, tuple(move), (0, 1)) for one, move in zip(stack, by)])

@@ -1,4 +1,4 @@
-"""Clean+noisy pairs: their base, plain or given, and what it leaves to explain."""
+"""The base of clean+noisy pairs, plain or given, and the case that it leaves to explain."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -39,14 +39,14 @@ from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 _SMOOTHING = 2.0
 _OUTLIER = 12.0
-"""How many times the mean square error of the fitted pairs a held-out one's may be: matrix and curve that
-were fitted to few colours do not carry over to others."""
+"""Largest mean squared error of a held-out pair, relative to the median of the fitted pairs. Beyond it, the
+fitted matrix and curve do not generalise to the pair's colours."""
 _UNLIKE_PAIR = 4.0
-"""Likewise, of the median of all, where the two halves of a pair are hardly alike: they show two scenes."""
+"""Largest mean squared error, relative to the median of all pairs, of a pair that may show two scenes."""
 _PASSES = 3
-"""How often pairs may be moved to a pattern that all have: the first is that of a mixture."""
+"""Largest number of passes that align the pairs' patterns; the first pass sees a mixture of patterns."""
 _UNLIKE = 0.25
-"""Logarithm of the exposure by which a scene differs from the others beyond what is the fit's error."""
+"""Difference in log exposure between scenes that exceeds the error of the fit."""
 
 
 def clean_case(
@@ -60,31 +60,33 @@ def clean_case(
     uncertain: Sequence[str] = (),
     criteria: Criteria = CRITERIA[CLEAN_NOISY],
 ) -> Case:
-    """The base fitted to clean+noisy pairs: the mean by pixels, then the noise by its statistics.
+    """Fit the base of clean+noisy pairs: first the mean by pixels, then the noise by its statistics.
 
-    A recipe is believed in what it has for constants, and fitted in what it draws. A plain base is fitted
-    before it all the same: it says how each scene was exposed, how its photosites lie, and roughly how to get
-    from a picture back to what the sensor read. A camera, mosaic to picture, is believed; the curve and the
-    matrix that take the clean picture to what its sensor saw are fitted, and the sensor's noise.
+    A plain base is always fitted first. It finds the exposure of each scene, the Bayer pattern, and an
+    approximate map from pictures back to sensor values.
+
+    A given recipe keeps its constants; the parameters that it draws at random are fitted. A given camera,
+    from mosaic to picture, is kept whole. The curve and matrix from the clean picture to its sensor are
+    fitted, and the sensor's noise.
 
     Args:
         loaded: the pairs.
         simulator: the base; default: fit a plain camera.
-        exclude: effects that are not tried.
+        exclude: names of effects that are not tried.
         seed: of the simulated noise.
-        tick: called with (done, total, text).
-        is_camera: whether the simulator takes a mosaic, not an encoded picture.
-        uncertain: names of pairs whose halves may not show one scene.
-        criteria: what the verdict is decided by.
+        tick: progress callback, called with (done, total, text).
+        is_camera: whether the simulator takes a mosaic instead of an encoded picture.
+        uncertain: names of pairs whose halves may show different scenes.
+        criteria: thresholds of the verdict.
 
     Raises:
-        InputError: no usable pair, an unknown effect, a simulator that cannot be a base.
+        InputError: no usable pair, an unknown effect, or a simulator that cannot be a base.
     """
     pairs = clean_pairs(loaded, _SMOOTHING if simulator else 0.0)
     split = split_of(pairs.names)
     effects = candidates(CLEAN_NOISY, exclude)
     file, described = loaded[0].jpeg, loaded[0].settings.raw
-    if simulator is not None:  # a fault here should not cost a fit
+    if simulator is not None:  # reports a bad simulator before the slow fit
         check_camera(simulator) if is_camera else of_recipe(simulator, effects, "RGGB", file)
     tick(0, 3, "fitting the base")
     cfa = described.cfa if described else None
@@ -99,7 +101,7 @@ def clean_case(
         return dataclasses.replace(case, outliers=(*outliers, *case.outliers))
     if simulator is None:
         case = plain_case(mean, effects, seed, tick)
-        if file is None:  # a file's own grid would be elsewhere
+        if file is None:  # a shift would move the 8x8 grid of a JPEG
             case, mean = _with_one_pattern(pairs, case, mean, cfa, effects, seed, tick)
     else:
         if is_camera:
@@ -116,9 +118,9 @@ def clean_case(
 
 
 def _not_stated(case: Case, file: Jpeg | None) -> list[str]:
-    """The effects that are offered, but for what the file's header states."""
+    """The offered effects without those whose parameters the file's header states."""
     stated = stated_by(file)
-    if file is None and not case.seen:  # on the picture's own grid it is the one compression there was
+    if file is None and not case.seen:  # one compression on the picture's own grid is not a double one
         stated.add("double_compression")
     return [name for name in case.offered if name not in stated]
 
@@ -132,9 +134,11 @@ def _with_one_pattern(
     seed: int,
     tick: Tick,
 ) -> tuple[Case, MeanFit]:
-    """The plain base of pairs and its mean, or both anew with the pairs moved to one place of the colour
-    filter
-    array: crops need not have been cut alike."""
+    """Refit the plain base with the pairs shifted to a common CFA phase, if their phases differ.
+
+    Returns:
+        the case and the fitted mean.
+    """
     for _ in range(_PASSES):
         assert case.statistics is not None
         measure, at = case.statistics.measure, case.point
@@ -149,8 +153,11 @@ def _with_one_pattern(
 
 
 def _outliers(mean: MeanFit, uncertain: Sequence[str]) -> tuple[str, ...]:
-    """The held-out pairs that the colours and tones of the fitted ones do not carry over to, and of all those
-    that may be of two scenes."""
+    """Names of pairs with too large an error.
+
+    They are held-out pairs to which colours and tones do not generalise, and uncertain pairs that show two
+    scenes.
+    """
     errors, names, split = mean.point.errors, mean.objective.names, mean.objective.split
     usual = float(np.median(errors[list(split.fit)]))
     far = [names[i] for i in split.held_out if errors[i] > _OUTLIER * usual]
@@ -161,8 +168,10 @@ def _outliers(mean: MeanFit, uncertain: Sequence[str]) -> tuple[str, ...]:
 
 
 def _toned(light: jax.Array, mean: MeanFit | None) -> np.ndarray:
-    """(N, H, W, 3) encoded sRGB in [0, 1]: clean light in the tones that a base has for it, pixel by pixel,
-    where those are not the clean picture's own."""
+    """Clean pictures (N, H, W, 3), encoded sRGB in [0, 1], in the tones of the fitted base.
+
+    Without a fitted base (`mean` is None), the tones are those of the clean light (N, H, W, 3).
+    """
     oetf, curve = stage("srgb_oetf"), stage("spline_curve")
     if mean is None:
         return np.clip(np.asarray(oetf.fn(light)), 0, 1)
@@ -174,11 +183,11 @@ def _toned(light: jax.Array, mean: MeanFit | None) -> np.ndarray:
 
 
 def plain_case(mean: MeanFit, effects: Sequence[Effect], seed: int, tick: Tick) -> Case:
-    """A plain camera whose mean was fitted, with its noise fitted too and all effects in it, off."""
+    """Fit the noise of a plain camera whose mean is fitted, and add all effects, switched off."""
     pairs, split, camera = mean.objective.pairs, mean.objective.split, mean.camera
     model, shown = _placed(camera.whole_model(mean.model, effects), pairs)
     read = _quantization(model.shared, camera, pairs)
-    choices = [  # the demosaicker nearest to the pictures may imitate an effect
+    choices = [  # the best demosaicker may only imitate an effect
         Variant({"demosaicking": Demosaicking(shares=shares)}, {})
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
     ]
@@ -214,7 +223,7 @@ def _given_case(
     objective, at = fit_open(objective, at, given.open)
     at = objective.at(given.rebased(at.model, at.z), at.z)
     objective, at = fit_noise(objective, at, given.rebased)
-    case = _case(objective, at, dict.fromkeys(absorbed), offered, shown)  # shares are not measured
+    case = _case(objective, at, dict.fromkeys(absorbed), offered, shown)  # without shares
     return dataclasses.replace(case, given=given.about, open_nodes=tuple(sorted(given.fitted)))
 
 
@@ -233,8 +242,11 @@ def _case(
 
 
 def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
-    """The model whose earlier compression, if it is tried, is where the noisy pictures show one, and whether
-    they do: its name then."""
+    """Put the earlier compression on the 8x8 grid that the noisy pictures show.
+
+    Returns:
+        the model; the name "double_compression" if the pictures show such a grid.
+    """
     if "double_compression" not in model.effects:
         return model, ()
     place = earlier_grid(to_steps(pairs.pictures)[..., 0])
@@ -242,14 +254,17 @@ def _placed(model: Model, pairs: Pairs) -> tuple[Model, tuple[str, ...]]:
 
 
 def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
-    """The pairs as a simulator takes them that is believed: exposed scene by scene only where the plain base
-    found scenes to differ clearly. It errs by several per cent where noise is clipped at black."""
+    """Pairs for a given simulator.
+
+    Scenes have their own exposures only if the plain base found clearly different ones. Its exposures are
+    wrong by several per cent if noise is clipped at black.
+    """
     light, found = (np.asarray(p.light, np.float64).mean((1, 2)) + 1e-9 for p in (pairs, exposed))
     gains = np.log(found / light)
     common = gains.mean()
     if np.abs(gains - common).max() > _UNLIKE:
         return exposed
-    factor = np.exp(common) if abs(common) > np.log(2) else 1.0  # a clean picture tens of times as dark
+    factor = np.exp(common) if abs(common) > np.log(2) else 1.0  # clean pictures may be far darker
     return pairs.relit(lambda light: light * np.float32(factor))
 
 
@@ -258,6 +273,6 @@ def _quantization(shared: Params, camera: Camera, pairs: Pairs) -> Quantization:
 
 
 def _inside(pairs: Pairs) -> tuple[int, int]:
-    """Height and width of what is measured."""
+    """Height and width of the measured frame, without the border [px]."""
     height, width = pairs.mask.shape[1:]
     return height - 2 * BORDER, width - 2 * BORDER

@@ -1,7 +1,7 @@
-"""A simulator that is given is the base of clean+noisy pairs. Its stages and its constants are believed.
+"""A given simulator as the base of clean+noisy pairs; its stages and constants are kept.
 
-What a recipe draws anew for each image it leaves open: these numbers are what they are in the real camera, as
-far as the recipe can draw them, and are fitted within the range of their priors.
+Parameters that a recipe draws at random for each image are open: their values for the real camera are
+unknown. They are fitted within the range of their priors.
 """
 
 import dataclasses
@@ -35,12 +35,12 @@ from jaxisp.recipe import Recipe
 
 _QUANTILES = (0.02, 0.08, 0.22, 0.5, 0.7, 0.85, 0.95)
 _LEAST = {"shot": 1e-4, "read": 4e-3, "std": 4e-3}
-"""Noise of which a quarter is a step that can be seen."""
+"""Least noise amplitude for the step size of a fit; a quarter of it is a visible step."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Open:
-    """A number that is fitted: entry `index` of a field of a node, drawn from `law` by the recipe."""
+    """A fitted number: entry `index` of a field of a node, which the recipe draws from `law`."""
 
     node: str
     field: str
@@ -49,12 +49,12 @@ class Open:
 
     @property
     def steady(self) -> bool:
-        """Whether every value of its range is meant, not some levels only."""
+        """Whether the law is continuous rather than a choice among levels."""
         return not isinstance(self.law, Choice | Bernoulli)
 
     @property
     def levels(self) -> list[float]:
-        """Values to try, rising."""
+        """Values to try, in increasing order."""
         if isinstance(self.law, Choice):
             return sorted(self.law.values)
         if isinstance(self.law, Bernoulli):
@@ -64,6 +64,7 @@ class Open:
 
     @property
     def median(self) -> float:
+        """The middle level."""
         return self.levels[len(self.levels) // 2]
 
     def placed(self, params: Params, value: float) -> Params:
@@ -73,7 +74,7 @@ class Open:
         return params | {self.node: dataclasses.replace(params[self.node], **{self.field: field})}
 
     def coordinate(self, params: Params) -> Coordinate:
-        """How it may move from where it is."""
+        """The coordinate of this number, with its range relative to the present value."""
         value = float(np.asarray(getattr(params[self.node], self.field))[self.index])
         low, high = self.law.support
         step = 0.25 * max(abs(value), 0.0 if isinstance(self.law, LogUniform) else 0.05 * (high - low))
@@ -82,15 +83,15 @@ class Open:
 
 @dataclasses.dataclass(frozen=True)
 class GivenBase:
-    """A simulator, from linear light to the file.
+    """A given simulator, from linear light to the file.
 
     Attributes:
-        about: what it is, for the report.
+        about: description for the report.
         chain: its nodes.
-        params: its constants, and the medians of what it draws.
-        open: what is fitted to the statistics.
-        mean: what is fitted besides, near where it is.
-        absorbed: effects that its open numbers absorb.
+        params: its constants, and the medians of its priors.
+        open: numbers that are fitted to the statistics.
+        mean: further coordinates of the mean that are fitted, near their present values.
+        absorbed: names of effects that its open numbers absorb.
     """
 
     about: str
@@ -102,32 +103,32 @@ class GivenBase:
 
     @property
     def fitted(self) -> set[str]:
-        """The nodes that have something open."""
+        """Names of the nodes with fitted parameters."""
         return {o.node for o in self.open} | {c.node for c in self.mean}
 
     @property
     def still(self) -> Chain:
-        """Without noise and file."""
+        """The chain without noise and file compression."""
         nodes = [n for n in self.chain.nodes if not n.stochastic]
         while is_file(nodes[-1]):
             nodes.pop()
         return Chain(tuple(nodes), self.chain.name)
 
     def noise_free(self, light: jax.Array) -> np.ndarray:
-        """(N, H, W, 3) pictures of light (N, H, W, 3) without noise and file, Y'CbCr in 8-bit steps."""
+        """Render light (N, H, W, 3) without noise and file: (N, H, W, 3) Y'CbCr in 8-bit steps."""
         own = {name: self.params[name] for name in self.still.init()}
         pictures = render(self.still, own, {}, light, None, Kept())
         return to_steps(np.clip(pictures, 0, 1))
 
     def free(self, params: Params) -> tuple[Coordinate, ...]:
-        """What is fitted, from where it is."""
+        """Coordinates that are fitted, relative to these parameters."""
         return (*(o.coordinate(params) for o in self.open if o.steady), *self.mean)
 
     def whole_model(self, effects: Sequence[Effect]) -> tuple[Model, list[str], list[str]]:
-        """The base with every effect in it, off.
+        """Build the base with every effect, switched off.
 
         Returns:
-            the model; the names of the effects that can be tried; of those that what is open absorbs.
+            the model; the names of effects that can be tried; the names of effects that open numbers absorb.
         """
         present = {s.name for s in self.chain.stages()}
         tried: list[Effect] = []
@@ -139,7 +140,7 @@ class GivenBase:
             elif e.name == "noise_level" and self._noise_moves():
                 on_own[e.name] = self._noise_moves()
             elif e.site == "demosaic":
-                continue  # the simulator's own algorithm is not a known one
+                continue  # the simulator has an unknown algorithm of its own
             taken = e.name in self.absorbed or on_own.get(e.name) == ()
             (absorbed if taken else tried).append(e)
         inserted = [e for e in tried if e.name not in on_own or e.name in present]
@@ -151,17 +152,17 @@ class GivenBase:
         return model, [e.name for e in tried], [e.name for e in absorbed]
 
     def rebased(self, model: Model, z: np.ndarray) -> Model:
-        """The model with the base's z put into its parameters, the bounds moved along."""
+        """Move the base's z into the parameters and shift the bounds accordingly."""
         moved = model.moved(z)
         return dataclasses.replace(moved, base=self.free(moved.shared))
 
     def _moves(self, effect: Effect) -> tuple[Coordinate, ...]:
-        """How an effect acts that the simulator has as a stage, beside what of it is open."""
+        """Coordinates of an effect that the simulator has as a stage, apart from its open numbers."""
         opened = {(o.field, o.index) for o in self.open if o.node == effect.name}
         return on_own_stage(effect, self.params[effect.name], opened)
 
     def _noise_moves(self) -> tuple[Coordinate, ...]:
-        """The sensor's noise stronger or weaker than the simulator's constants have it."""
+        """Coordinates that make the sensor's noise stronger or weaker than the simulator's constants."""
         opened = {(o.node, o.field) for o in self.open}
         found = []
         for node in self._sensor():
@@ -175,32 +176,32 @@ class GivenBase:
         return tuple(found)
 
     def _sensor(self) -> list[Node]:
-        """The nodes from the mosaic up to where it is demosaicked."""
+        """The nodes from the mosaic up to demosaicking, which is excluded."""
         nodes = self.chain.nodes
         first = next(i for i, n in enumerate(nodes) if makes_mosaic(n))
         last = next(i for i, n in enumerate(nodes) if demosaics(n))
         return list(nodes[first:last])
 
     def _last_of_sensor(self) -> str:
-        """The node after which the sensor is read."""
+        """Name of the last random node of the sensor, or of its first node; the readout follows it."""
         nodes = self._sensor()
         return next((n.name for n in reversed(nodes) if n.stochastic), nodes[0].name)
 
 
 def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | None) -> GivenBase:
-    """A recipe as the base.
+    """Build the base from a recipe.
 
-    The colour filter array is that of the pictures: which photosite comes first depends on where they were
-    cut. What the header of the files states replaces the recipe's last compression.
+    The Bayer pattern is that of the pictures, since it depends on their crop. The compression that the files'
+    headers state replaces the recipe's last compression.
 
     Args:
-        recipe: encoded sRGB to encoded sRGB, with a mosaic and its demosaicking.
-        effects: whose names are theirs.
-        cfa: the pattern of the pictures.
-        file: whose header is believed; None where the pictures are not JPEGs.
+        recipe: from encoded sRGB to encoded sRGB, with a mosaic and its demosaicking.
+        effects: the effects; their names are reserved.
+        cfa: Bayer pattern of the pictures.
+        file: a JPEG with the header to use; None if the pictures are not JPEGs.
 
     Raises:
-        InputError: it is not such a recipe, or it draws which stages run, or in which order.
+        InputError: the recipe does not have this form, or it draws its stages or their order at random.
     """
     nodes = [with_cfa(n, cfa) for n in flat_nodes(recipe.chain.nodes, recipe)]
     check_recipe(nodes, recipe)
@@ -216,8 +217,16 @@ def of_recipe(recipe: Recipe, effects: Sequence[Effect], cfa: str, file: Jpeg | 
 
 
 def believed(recipe: Recipe, names: Mapping[str, str], params: Params) -> tuple[Params, tuple[Open, ...]]:
-    """A recipe's constants and medians in place of a chain's defaults, and what it leaves open; `names` are
-    those of nodes that go by another there."""
+    """Replace a chain's default parameters by a recipe's constants and the medians of its priors.
+
+    Args:
+        recipe: the recipe.
+        names: new name by old name of nodes that are renamed in the chain.
+        params: the chain's default parameters.
+
+    Returns:
+        the parameters; the open numbers.
+    """
     opened = []
     for name, values in recipe.prior.items():
         own = names.get(name, name)
@@ -228,7 +237,7 @@ def believed(recipe: Recipe, names: Mapping[str, str], params: Params) -> tuple[
 
 
 def _believed(params: Params, node: str, prior: Any) -> tuple[Params, list[Open]]:
-    """A node's constants, and what it leaves open at its median."""
+    """Like `believed`, for the prior of one node."""
     opened = []
     for field in specs(type(prior)):
         value = getattr(prior, field)

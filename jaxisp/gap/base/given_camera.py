@@ -1,7 +1,7 @@
-"""A camera that is given, mosaic to picture, as the base of clean+noisy pairs.
+"""A given camera, from mosaic to picture, as the base of clean+noisy pairs.
 
-Nothing in a camera says how the light on its sensor follows from the clean picture's colours and tones, nor
-how noisy the sensor was: this is fitted, and all that the camera does with the mosaic is believed.
+A camera does not define the light on its sensor as a function of the clean picture, nor the noise of the
+sensor. Both are fitted. The camera's processing of the mosaic is kept.
 """
 
 import dataclasses
@@ -34,18 +34,18 @@ _ABSORBED = ("tone_curve", "color_matrix", "white_balance")
 
 
 def of_camera(recipe: Recipe, effects: Sequence[Effect], mean: MeanFit) -> tuple[GivenBase, Pairs]:
-    """A camera as the base, behind what takes the clean picture to its sensor.
+    """Build the base from a camera, preceded by a fitted map from the clean picture to its sensor.
 
     Args:
-        recipe: the camera; where it takes white balance from the RAW, that of `mean` is taken.
-        effects: whose names are theirs.
-        mean: the plain base at its best, where the search for matrix and curve begins.
+        recipe: the camera. If it takes white balance from the RAW, that of `mean` is used.
+        effects: the effects; their names are reserved.
+        mean: the fitted plain base, at which the fit of matrix and curve starts.
 
     Returns:
-        the base, and the pairs with what the sensor saw for light.
+        the base; the pairs with the sensor's light as their light.
 
     Raises:
-        InputError: it does not turn a mosaic into encoded sRGB.
+        InputError: the camera does not turn a mosaic into encoded sRGB.
     """
     check_camera(recipe)
     plain = mean.camera
@@ -71,7 +71,7 @@ def of_camera(recipe: Recipe, effects: Sequence[Effect], mean: MeanFit) -> tuple
 
 
 def _scene() -> Chain:
-    """From the clean picture's light to the sensor's: one curve and one matrix."""
+    """The chain from the clean picture's light to the sensor's light: one curve and one matrix."""
     matrix = Stage(stage("color_matrix").fn, _MATRIX)
     tone = Stage(stage("spline_curve").fn, _TONE)
     nodes = (stage("srgb_oetf", name="scene_encoded"), tone, stage("srgb_eotf", name="scene_light"), matrix)
@@ -79,14 +79,13 @@ def _scene() -> Chain:
 
 
 def _freedom() -> list[Coordinate]:
-    """The scene's curve and matrix, as the plain base has them."""
+    """Coordinates of the scene's curve and matrix, as in the plain base."""
     names = {"color_matrix": _MATRIX, "tone_curve": _TONE}
     return [dataclasses.replace(c, node=names[c.node]) for c in plain_freedom() if c.node in names]
 
 
 def _seen(given: GivenBase, mean: MeanFit) -> Pairs:
-    """The pairs with the light that the sensor saw: curve and matrix such that the camera's pictures are
-    nearest to the real ones, pixel by pixel."""
+    """Pairs with the sensor's light, from curve and matrix fitted to the real pictures by pixels."""
     still = given.still
     start = {name: given.params[name] for name in still.init()} | {_MATRIX: _start(given, mean)}
     pairs, split = mean.objective.pairs, mean.objective.split
@@ -103,7 +102,7 @@ def _seen(given: GivenBase, mean: MeanFit) -> Pairs:
 
 
 def _start(given: GivenBase, mean: MeanFit) -> ColorMatrix:
-    """The plain base's colours, seen before the camera's own gains and matrix."""
+    """Colour matrix of the plain base with the camera's own gains and matrix divided out."""
     plain = mean.model.shared
     wanted = np.asarray(plain["color_matrix"].matrix, float)
     for own in given.params.values():

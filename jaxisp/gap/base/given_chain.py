@@ -1,4 +1,4 @@
-"""A given simulator's nodes, made ready to be a base: no switches, names of their own, the file's end."""
+"""Preparation of a given simulator's nodes: no switches, unique names, the file's own compression."""
 
 import dataclasses
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
@@ -22,7 +22,11 @@ from jaxisp.recipe import Recipe
 
 
 def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
-    """The nodes that run, in order, with no switch about them."""
+    """Iterate over the nodes that run, in order, without their switches.
+
+    Raises:
+        InputError: the recipe draws a switch or an order at random.
+    """
     for node in nodes:
         own: Any = recipe.prior.get(node.name)
         if isinstance(node, Gate | Shuffle | AnyPhase) and any(
@@ -48,17 +52,17 @@ def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
 
 
 def makes_mosaic(node: Node) -> bool:
-    """Whether it takes light to a mosaic."""
+    """Whether the node turns light into a mosaic."""
     return node.domain_out == MOSAIC and node.domain_in != MOSAIC
 
 
 def demosaics(node: Node) -> bool:
-    """Whether it takes a mosaic to camera RGB."""
+    """Whether the node turns a mosaic into camera RGB."""
     return node.domain_in == MOSAIC and node.domain_out == CAMERA
 
 
 def check_recipe(nodes: Sequence[Node], recipe: Recipe) -> None:
-    """Raise InputError unless nodes take encoded sRGB through one mosaic back to encoded sRGB."""
+    """Raise InputError unless the nodes turn encoded sRGB into one mosaic and back into encoded sRGB."""
     counts = [sum(map(kind, nodes)) for kind in (makes_mosaic, demosaics)]
     if counts != [1, 1]:
         raise InputError(
@@ -74,7 +78,7 @@ def check_recipe(nodes: Sequence[Node], recipe: Recipe) -> None:
 
 
 def check_camera(camera: Recipe) -> None:
-    """Raise InputError unless it turns a mosaic into encoded sRGB, demosaicking it once."""
+    """Raise InputError unless the camera turns a mosaic into encoded sRGB and demosaicks it once."""
     nodes = list(flat_nodes(camera.chain.nodes, camera))
     chain = Chain(tuple(nodes))
     times = sum(map(demosaics, nodes))
@@ -88,8 +92,13 @@ def check_camera(camera: Recipe) -> None:
 def renamed(
     nodes: Sequence[Node], effects: Sequence[Effect], apart: Sequence[str] = ()
 ) -> tuple[list[Node], dict[str, str]]:
-    """The nodes, those renamed that have an effect's name and are another stage, or that are named as what is
-    to stay apart from the effect; and new names by old."""
+    """Rename nodes whose names collide with effects.
+
+    A node with an effect's name is renamed if its function differs from the effect's, or if `apart` lists it.
+
+    Returns:
+        the nodes; new name by old name.
+    """
     fns = {e.name: e.node.fn for e in effects if isinstance(e.node, Stage)}
     names, found = {}, []
     for node in nodes:
@@ -107,13 +116,15 @@ def _acts_on(node: Stage, fns: Mapping[str, Callable[..., Any]], apart: Sequence
 def on_own_stage(
     effect: Effect, params: Any, opened: Container[tuple[str, tuple[int, ...]]] = ()
 ) -> tuple[Coordinate, ...]:
-    """How an effect acts that the simulator has as a stage: on its constants, from their values and within
-    the bounds of its parameters. A constant that has no room to move is left out.
+    """Coordinates of an effect that acts on a stage of the simulator.
+
+    They start at the stage's constants and stay within the bounds of its parameters. Constants that have no
+    room to move are left out.
 
     Args:
-        effect: its node is the simulator's.
-        params: of that stage.
-        opened: (field, index) of what moves besides.
+        effect: the effect; the simulator has its node.
+        params: parameters of that stage.
+        opened: (field, index) of numbers that are fitted anyway.
     """
     found = []
     for m in effect.moves:
@@ -132,12 +143,18 @@ def on_own_stage(
 
 
 def with_file(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
-    """The nodes with what the files' header states as the last compression."""
+    """Replace the last compression of the nodes by the one that the files' header states.
+
+    Without such a header, the nodes keep their own; rounding is added if they have none.
+
+    Returns:
+        the nodes; the parameters of the new compression.
+    """
     encoder, tables = encoder_of(file)
     kept = list(nodes)
     if tables:
         while is_file(kept[-1]):
-            if kept.pop().name.startswith("jpeg"):  # one before the last is an effect that is modelled
+            if kept.pop().name.startswith("jpeg"):  # earlier compressions stay
                 break
     if tables or not is_file(kept[-1]):
         kept.append(encoder)

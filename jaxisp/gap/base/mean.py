@@ -1,4 +1,4 @@
-"""The mean of a noisy base, fitted pixel by pixel."""
+"""Fit of the mean of a noisy base, pixel by pixel."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -22,16 +22,16 @@ from jaxisp.stages.balance import ColorMatrix
 
 _SETTLED = 0.01
 _ALIKE = 3.0
-"""By how much scenes may differ in how bright the picture is for its clean one and count as one exposure."""
+"""Largest ratio of the scenes' brightness gains, from clean to noisy, that counts as one exposure."""
 
 
 class MeanFit(NamedTuple):
-    """A noise-free base at its best.
+    """A fitted noise-free base.
 
     Attributes:
-        camera: what of it is chosen.
-        objective: mean square errors of pixels; its pairs have each scene's light as it was exposed.
-        point: where the fit ended.
+        camera: the discrete choices of the base.
+        objective: mean squared errors of pixels; the light of its pairs includes each scene's exposure.
+        point: the end of the fit.
     """
 
     camera: Camera
@@ -40,13 +40,19 @@ class MeanFit(NamedTuple):
 
     @property
     def model(self) -> Model:
-        """With what was fitted as z = 0."""
+        """The model with the fitted values at z = 0."""
         return self.point.model.moved(self.point.z)
 
 
 def fit_mean(file: Jpeg | None, pairs: Pairs, split: Split, cfa: str | None) -> MeanFit:
-    """The noise-free base whose pictures are nearest to the noisy ones, pixel by pixel; its colour filter
-    array is found unless it is given."""
+    """Fit the noise-free base to the noisy pictures, pixel by pixel.
+
+    Args:
+        file: a JPEG with the header to use; None if the pictures are not JPEGs.
+        pairs: the pairs.
+        split: fitted and held-out pairs.
+        cfa: Bayer pattern; None: it is searched for.
+    """
     camera, fit_on = Camera(file, cfa or "RGGB"), split.fit
     pairs = _scaled(pairs)
     gains = _gains(pairs, fit_on)
@@ -78,7 +84,7 @@ def _fit(objective: PixelObjective, at: Point, gains: np.ndarray, steps: int) ->
 
 
 def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
-    """(3,) how bright the fitted pictures are in linear light for their clean ones, channel by channel."""
+    """Gains (3,) from clean to noisy pictures in linear light, by channel, over the fitted pairs."""
     which = list(fit_on)
     own, light = pairs.mask[which][..., None], np.asarray(pairs.light, np.float64)[which]
     seen = (srgb_to_linear(pairs.pictures[which].astype(np.float64)) * own).sum((0, 1, 2))
@@ -86,20 +92,27 @@ def _gains(pairs: Pairs, fit_on: Sequence[int]) -> np.ndarray:
 
 
 def _scaled(pairs: Pairs) -> Pairs:
-    """The pairs with each scene's light as bright on average as its picture in linear light: a clean picture
-    may be of another exposure, tens of times as dark."""
+    """Scale the light of each scene to the mean brightness of its picture in linear light.
+
+    Clean pictures may have another exposure and be tens of times as dark.
+    """
     light, own = np.asarray(pairs.light, np.float64), pairs.mask[..., None]
     ratio = (srgb_to_linear(pairs.pictures.astype(np.float64)) * own).sum((1, 2, 3)) / np.maximum(
         (light * own).sum((1, 2, 3)), 1e-9
     )
-    if ratio.max() < _ALIKE * ratio.min():  # one exposure: its curve tells a little of what is clipped
+    if ratio.max() < _ALIKE * ratio.min():  # one exposure; clipping and the curve explain differences
         ratio = np.full_like(ratio, 1.0 if 1 / _ALIKE < ratio.mean() < _ALIKE else ratio.mean())
     return pairs.relit(lambda light: light * ratio.astype(np.float32)[:, None, None, None])
 
 
 def _exposed(objective: PixelObjective, at: Point) -> tuple[Pairs, float]:
-    """The pairs with each scene's light scaled to the exposure that its own picture shows, channel by channel
-    (white is balanced for each scene), and the largest change that this was."""
+    """Scale the light of each scene to the exposure of its picture, by channel.
+
+    White is balanced for each scene, so channels differ.
+
+    Returns:
+        the pairs; the largest relative change.
+    """
     pairs, probe, weight = objective.pairs, 1.05, objective.weight
     columns = []
     for gains in 1 + (probe - 1) * np.eye(3, dtype=np.float32):

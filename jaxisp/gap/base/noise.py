@@ -1,4 +1,4 @@
-"""The noise of a base, fitted to the statistics, and its mean beside it."""
+"""Fit of a base's noise, and of its mean along with it, to the statistics."""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,15 +14,14 @@ from jaxisp.gap.simulator.model import Model
 from jaxisp.gap.simulator.noise import informed_by_noise, noise_indices
 
 Rebase = Callable[[Model, np.ndarray], Model]
-"""Puts the base's z into its parameters."""
+"""Moves the base's z into its parameters."""
 
 
 def fit_noise(objective: StatisticsObjective, at: Point, rebase: Rebase) -> tuple[StatisticsObjective, Point]:
-    """The noise that explains the statistics best, with it the sensor's primaries where the base has them
-    free, then all that is free.
+    """Fit the noise and, if they are free, the sensor's primaries; then fit all free coordinates.
 
     Returns:
-        the objective in its final units, and z = 0 of the model found.
+        the objective in its final units; the fitted model at z = 0.
     """
     every, noise = np.ones_like(noise_only()), noise_indices(at.model)
     objective = objective.counting(noise_only())
@@ -45,7 +44,7 @@ def _settled(
     steps: int,
     keep: bool = False,
 ) -> Point:
-    """Fit, and make where that ends the model's z = 0; `keep` works with the columns of the start."""
+    """Fit, and move the end to the model's z = 0; `keep` reuses the columns of the start."""
     if which:
         part, start = objective.fitted(objective.at(at.model, at.z))
         start = part.compute(start, which)
@@ -55,8 +54,10 @@ def _settled(
 
 
 def rebased(model: Model, z: np.ndarray) -> Model:
-    """The model with the base's z put into its parameters, the bounds of its noise moved along; where white
-    is balanced first, its gains are those that the noise shows."""
+    """Move the base's z into the parameters and shift the bounds of its noise accordingly.
+
+    The white-balance gains before demosaicking become those fitted to the noise.
+    """
     moved = model.moved(z)
     if np.allclose(moved.shared["later_balance"].gains, 1):
         noise = moved.shared["balanced_noise"]

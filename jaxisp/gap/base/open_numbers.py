@@ -1,4 +1,4 @@
-"""A first value for each number that a given simulator leaves open."""
+"""First values of the open numbers of a given simulator."""
 
 from collections.abc import Sequence
 
@@ -14,11 +14,12 @@ from jaxisp.pipeline import signature
 def fit_open(
     objective: StatisticsObjective, at: Point, opened: Sequence[Open]
 ) -> tuple[StatisticsObjective, Point]:
-    """Each number at that of its levels which the pictures are nearest to, one after another, those of the
-    noise first and twice: priors reach over decades, further than a linear step would see.
+    """Search the best level of each open number, one after another; those of the noise come first, twice.
+
+    Priors may span decades, so a linear step from the median would not be enough.
 
     Returns:
-        the objective in units that were measured beside that noise, and the point found.
+        the objective with units measured at the fitted noise; the point found.
     """
     random = {s.name for s in at.model.chain.stages() if signature(s.fn).stochastic}
     noise = [o for o in opened if o.node in random]
@@ -30,7 +31,7 @@ def fit_open(
 
 
 def _swept(objective: StatisticsObjective, at: Point, opened: Sequence[Open]) -> Point:
-    """One number after another at its best level."""
+    """Set one number after another to its best level."""
     at = objective.at(at.model, at.z)
     part, _ = objective.fitted(at)
     model = at.model

@@ -1,32 +1,35 @@
-"""A camera's colour matrix from the colours of its pictures, and the usual one where they have none."""
+"""Start values of a camera's colour matrix, from its pictures or, for grey pictures, a typical one."""
 
 import numpy as np
 
 from jaxisp.color import srgb_to_linear
 
 TYPICAL = np.array([[0.6, -0.5, -0.1], [-0.25, 0.5, -0.25], [0.0, -0.6, 0.6]])
-"""What a phone's colour matrix has beside the identity; its rows keep white."""
+"""Difference of a typical phone's colour matrix from the identity; its rows sum to 0, which keeps white."""
 _COLOURLESS = 3e-5
 _BLOCK = 8
 
 
 def typical_matrix(gains: np.ndarray, share: float = 1.0) -> np.ndarray:
-    """(3, 3) in linear light, whose rows sum to the gains (3,); with this share of what a phone's has beside
-    the identity."""
+    """Colour matrix (3, 3) in linear light whose rows sum to the gains (3,).
+
+    Args:
+        gains: (3,) row sums.
+        share: factor on `TYPICAL`; 0 gives a diagonal matrix.
+    """
     return np.asarray(gains)[:, None] * (np.eye(3) + share * TYPICAL)
 
 
 def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
-    """Whether pictures are so grey that a matrix is fitted to their noise alone.
+    """Whether pictures are so grey that a colour matrix would be fitted to noise alone.
 
-    They have less than a thirty-thousandth of their mean square in any direction but grey and one more;
-    scenes of usual colours have some hundredths there, with a fortieth of their colours a grey one's share.
-    Noise does not count as colour: the means of neighbouring blocks, whose noise is independent, are
-    multiplied.
+    The colours of such pictures lie in a plane of grey and one other direction, up to `_COLOURLESS` of their
+    mean square. Usual scenes have some hundredths outside it. Noise does not count as colour: only products
+    of neighbouring blocks are used, whose noise is independent.
 
     Args:
-        light: (N, H, W, 3) linear, white balanced.
-        mask: (N, H, W) of the pixels that count.
+        light: (N, H, W, 3) linear light, white balanced.
+        mask: (N, H, W) pixels that count.
     """
     n, height, width = mask.shape
     rows, pairs = height // _BLOCK, width // (2 * _BLOCK)
@@ -43,12 +46,13 @@ def is_colourless(light: np.ndarray, mask: np.ndarray) -> bool:
 
 
 def start_matrix(light: np.ndarray, pictures: np.ndarray, mask: np.ndarray, block: int = 8) -> np.ndarray:
-    """(3, 3) colour matrix by least squares in linear light over means of blocks.
+    """Colour matrix (3, 3) by least squares in linear light over block means.
 
     Args:
         light: (N, H, W, 3) white-balanced camera RGB.
-        pictures: (N, H, W, 3) encoded.
-        mask: (N, H, W).
+        pictures: (N, H, W, 3) encoded sRGB in [0, 1].
+        mask: (N, H, W) pixels that count.
+        block: side of the blocks [px].
     """
     linear = srgb_to_linear(pictures)
 

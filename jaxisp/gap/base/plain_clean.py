@@ -1,4 +1,4 @@
-"""The plain camera that is the base of clean+noisy pairs, and what of it is free."""
+"""The plain camera that is the base of clean+noisy pairs, and its free coordinates."""
 
 import dataclasses
 import itertools
@@ -27,29 +27,29 @@ from jaxisp.stages.power import Gamma
 
 NOISE = ("shot", "read", "red_gain", "blue_gain")
 _USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
-"""What sensors need in daylight and indoors, and by how much that differs."""
+"""Mean and spread of white-balance gains that sensors need in daylight and indoors."""
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
 _BALANCES = ("to_raw", "early_balance", "later_balance")
 _COMPANDED = (COMPANDING, EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
-"""Effects that act on what the sensor reads, shot noise and all, before white is balanced."""
+"""Effects of the readout: they act on sensor values after shot noise and before white balance."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """What the base has no number for.
+    """Discrete choices of the base, and start values of its fit.
 
     Attributes:
-        file: whose header is believed.
-        cfa: the colour filter array.
-        algorithm: that demosaicks.
-        gains: of red and blue.
-        late: whether white is balanced after demosaicking.
-        gamma: of the values that are demosaicked: 1 for linear ones, 2 for their square roots.
-        share: of a typical colour matrix, that takes the sensor's primaries to those of the clean picture;
-            where the noise's fit begins.
+        file: a JPEG with the header to use; None if the pictures are not JPEGs.
+        cfa: Bayer pattern.
+        algorithm: of demosaicking.
+        gains: white-balance gains of red and blue.
+        late: whether white balance follows demosaicking.
+        gamma: of the demosaicked values: 1 for linear values, 2 for square roots.
+        share: share of a typical colour matrix from the sensor's primaries to those of the clean picture;
+            start of the noise's fit.
     """
 
     file: Jpeg | None
@@ -61,8 +61,11 @@ class Camera:
     share: float = 0.7
 
     def chain(self) -> tuple[Chain, Params]:
-        """Scene to picture: the sensor's primaries, mosaic, noise, demosaicking, white level, back to the
-        clean picture's primaries, one matrix, sRGB, one curve, the file's compression."""
+        """The chain from scene to picture, and its parameters.
+
+        Its order: the sensor's primaries, mosaic, noise, demosaicking, white level, back to the clean
+        picture's primaries, one matrix, sRGB encoding, one curve, the file's compression.
+        """
         mosaic, late = stage("mosaic_white_balance", cfa=self.cfa), stage("white_balance")
         encoder, tables = encoder_of(self.file)
         demosaicking: list[Any] = [stage("demosaicking", cfa=self.cfa, algorithm=self.algorithm)]
@@ -93,7 +96,7 @@ class Camera:
         return chain, params | {name: gamma for name in _COMPANDED if name in params}
 
     def mean_model(self, params: Params) -> Model:
-        """Without noise, and with no more of the file than its chroma sampling."""
+        """The model without noise; of the file's compression, only chroma sampling remains."""
         chain, own = self.chain()
         nodes = chain.without("balanced_noise", chain.nodes[-1].name).nodes
         shares = HALVED.get(self.file.subsampling) if self.file else None
@@ -109,7 +112,7 @@ class Camera:
         return build(still, own, {}, plain_freedom(), [])
 
     def whole_model(self, mean: Model, effects: Sequence[Effect]) -> Model:
-        """The noisy base with every effect in it, off; its mean is that of `mean`, whatever the primaries."""
+        """The noisy base with every effect, switched off; its mean is that of `mean` for any primaries."""
         chain, params = self.chain()
         shared = params | {name: value for name, value in mean.shared.items() if name != _FILE}
         free = (*noise_freedom(shared), *narrowed(plain_freedom()))
@@ -118,13 +121,15 @@ class Camera:
 
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
-    """The file's encoder by its header; rounding where that is not modelled."""
+    """The encoder that the file's header states, and its parameters; rounding if it is not modelled."""
     return stated_encoder(file, "file") or (stage("rounding"), {})
 
 
 def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
-    """Bounds about where the mean was fitted by pixels: beside noise the best is a little elsewhere, and a
-    few statistics must not take it far."""
+    """Narrow the bounds around the mean that was fitted by pixels.
+
+    With noise the optimum moves slightly. A few statistics must not move it far.
+    """
     found = []
     for c in free:
         reach = _REACH[c.move.field]
@@ -134,14 +139,14 @@ def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:
 
 
 def balances(gains: tuple[float, float], late: bool) -> Params:
-    """From balanced light to what the sensor reads, and back before demosaicking or after."""
+    """White-balance parameters: undone before the sensor, applied before or (`late`) after demosaicking."""
     own, one = np.array([gains[0], 1, gains[1]], np.float32), np.ones(3, np.float32)
     order = (1 / own, one, own) if late else (1 / own, own, one)
     return {name: WhiteBalance(gains=g) for name, g in zip(_BALANCES, order)}
 
 
 def read_out(chain: Chain, after: str) -> Chain:
-    """The chain with the effects of the readout where the sensor is read: after this node."""
+    """Move the effects of the readout to the place after this node, where the sensor is read."""
     wanted = [f"use_{name}" for name in _READOUT]
     moved = sorted((n for n in chain.nodes if n.name in wanted), key=lambda n: wanted.index(n.name))
     nodes = [n for n in chain.nodes if n.name not in wanted]
@@ -150,8 +155,11 @@ def read_out(chain: Chain, after: str) -> Chain:
 
 
 def noise_freedom(params: Params) -> list[Coordinate]:
-    """What the noise of the base tells of: its own numbers, each free to shrink to its least and to grow as
-    its stage allows, and the matrix from the sensor's primaries but for its diagonal."""
+    """Coordinates that the noise of the base depends on.
+
+    They are its own parameters, within the bounds of the stage, and the off-diagonal entries of the matrix
+    from the sensor's primaries.
+    """
     found = []
     for field, least, most in zip(NOISE, (2e-5, 3e-4, 0.2, 0.2), (0.1, 0.2, 8.0, 8.0)):
         value = float(getattr(params["balanced_noise"], field))
@@ -172,12 +180,12 @@ def noise_freedom(params: Params) -> list[Coordinate]:
 
 
 def primaries(mixing: Any) -> Params:
-    """The scene seen in a sensor's primaries, and the matrix that undoes that.
+    """Colour matrices to a sensor's primaries and back.
 
-    What demosaicking does at edges tells of it, and how far the noise of channels is alike.
+    They are identifiable from demosaicking errors at edges and from the noise correlation between channels.
 
     Args:
-        mixing: (3, 3) from the sensor's primaries; its diagonal is taken to be such that white stays.
+        mixing: (3, 3) from the sensor's primaries; its diagonal is replaced so that white stays white.
     """
     found = np.array(mixing, np.float64)
     np.fill_diagonal(found, 0)

@@ -40,15 +40,15 @@ from jaxisp.stages.optics import RectilinearWarp
 
 
 class Base(NamedTuple):
-    """What is put before RAW+JPEG pairs.
+    """The base of RAW+JPEG pairs.
 
     Attributes:
-        model: the base, with every effect in it, off.
-        absorbed: by effect that is part of it, the share of the error that would be there without.
-        choices: other ways to demosaick.
-        rival: where it demosaicks square roots, the best choice that does not: halved chroma is imitated by
-            them.
-        unidentifiable: effects that are part of it and that these pairs cannot show: it has what is usual.
+        model: the base with every effect, switched off.
+        absorbed: share of the error that each effect of the base absorbs, see `absorbed_shares`.
+        choices: other demosaickers.
+        rival: if the base demosaicks square roots, the best choice that does not, since square roots imitate
+            halved chroma.
+        unidentifiable: effects of the base that these pairs cannot show; it has typical values for them.
     """
 
     model: Model
@@ -65,7 +65,7 @@ def raw_model(
     fit_on: Sequence[int],
     criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Base:
-    """The plain camera fitted to RAW+JPEG pairs, its demosaicker the best of all; see `fit_base`."""
+    """Fit the plain camera to RAW+JPEG pairs, with the best demosaicker; see `fit_base`."""
     (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
     sampling = jpeg.subsampling if jpeg else "4:4:4"
     gains, matrix, usual = _start(raws, pairs, cfa)
@@ -95,7 +95,7 @@ def raw_model(
 def _at_floor(
     base: Base, pairs: Pairs, which: Sequence[int], files: Sequence[Jpeg | None], criteria: Criteria
 ) -> bool:
-    """Whether it leaves no more of these pairs than rounding and the files' compression do."""
+    """Whether the base leaves only the error of rounding and of the files' compression on these pairs."""
     objective, which = PixelObjective.of(pairs), list(which)
     z = np.zeros(len(base.model.coordinates))
     objective = objective.robust(objective.at(base.model, z))
@@ -106,8 +106,10 @@ def _at_floor(
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
-    """The base fitted, with the demosaicker that explains the pairs best: before or after white balance, of
-    linear values or of their square roots."""
+    """Fit the base with the best demosaicker.
+
+    White balance may come before or after it, and it may act on linear values or on their square roots.
+    """
     objective, own = PixelObjective.of(pairs).take(fit_on), model.take(fit_on)
     at = objective.at(own, np.zeros(len(model.coordinates)))
     at = fit(objective, at, model.base_indices, steps=6).point
@@ -130,7 +132,7 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
 
 
 def choices(model: Model) -> list[Variant]:
-    """Each demosaicker, before and after white balance."""
+    """All demosaickers, each before and after white balance."""
     first = model.per_pair["mosaic_white_balance"]
     orders = [(first, _neutral(first)), (_neutral(first), first)]
     return [
@@ -152,9 +154,13 @@ def _neutral(balance: WhiteBalance) -> WhiteBalance:
 
 
 def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Where the fit of a base begins: (N, 3) gains, and a (3, 3) colour matrix by least squares. Of scenes
-    without colours a usual matrix too: what is fitted to the noise in their greys imitates whatever took of
-    that, compression first."""
+    """Start of the fit of a base.
+
+    Returns:
+        gains (N, 3); a colour matrix (3, 3) by least squares; a typical matrix for scenes without colours,
+        else None. A matrix fitted to the noise of grey scenes would imitate effects that reduce this noise,
+        such as compression.
+    """
     gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
     silent = np.allclose(gains, 1) and not raws[0].white_balanced
     light, linear = _balanced(pairs, cfa, gains), srgb_to_linear(pairs.pictures)
@@ -166,7 +172,7 @@ def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.
     if silent:
         if grey:
             white = shade(light) / shade(linear)
-        else:  # the matrix's own
+        else:  # from the matrix
             white = np.linalg.solve(start_matrix(light, pairs.pictures, pairs.mask), np.ones(3))
         gains = np.clip(white[1] / white, 0.125, 8)[None].repeat(len(raws), 0)
         light = _balanced(pairs, cfa, gains)
@@ -177,7 +183,7 @@ def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.
 
 
 def _balanced(pairs: Pairs, cfa: str, gains: np.ndarray) -> np.ndarray:
-    """(N, H, W, 3) the mosaics, white balanced by (N, 3) gains and demosaicked."""
+    """White-balance the mosaics by gains (N, 3) and demosaick them: (N, H, W, 3) linear RGB."""
     rgb = []
     balanced, flat = (
         stage("mosaic_white_balance", cfa=cfa),

@@ -1,7 +1,7 @@
-"""What cameras' colours and tones are usually like, where the pairs do not say.
+"""Priors on a camera's colour matrix and tone curve.
 
-A few crops of few colours leave a colour matrix and a tone curve open where they have nothing; without a
-prior the fit puts anything there, and other scenes come out in colours that no camera makes.
+A few crops with few colours do not determine the matrix and the curve everywhere. Without a prior, the fit
+gives other scenes colours that no camera produces.
 """
 
 import dataclasses
@@ -13,19 +13,19 @@ from jaxisp.gap.base.palette import typical_matrix
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
 
-_SHARE = 0.5  # of a phone's matrix: a clean picture may be in sensor colours or in the display's
+_SHARE = 0.5  # share of a phone's matrix, since clean pictures may be in sensor or in display colours
 _SPREAD = {"matrix": 0.35, "scale": 1.0, "bend": 0.08, "offset": 0.4}
-_TILE = 32  # px: what is wrong with tones is alike over about so much
+_TILE = 32  # px, correlation length of errors of tone
 
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """Normal and independent: `rows @ z` is about `wanted`, in standard deviations.
+    """Independent normal priors: `rows @ z` has mean `wanted` and standard deviation 1.
 
     Attributes:
-        rows: (R, K) of the K coordinates that are fitted.
-        wanted: (R,).
-        weight: of one row, in the units of the error that is minimised.
+        rows: (R, K) for K fitted coordinates.
+        wanted: (R,) means.
+        weight: of one row, in the unit of the minimised error.
     """
 
     rows: np.ndarray
@@ -33,28 +33,28 @@ class Prior:
     weight: float
 
     def penalty(self, z: np.ndarray) -> float:
-        """What is added to the mean square error."""
+        """Penalty that is added to the mean squared error."""
         return self.weight * float(((self.wanted - self.rows @ z) ** 2).sum())
 
     def normal(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, K) and (K,) that are added to the normal equations."""
+        """Terms (K, K) and (K,) that are added to the normal equations."""
         rows = self.weight * self.rows.T
         return rows @ self.rows, rows @ (self.wanted - self.rows @ z)
 
 
 def usual_matrix(gains: np.ndarray) -> np.ndarray:
-    """(3, 3) from clean to encoded colours, in linear light, whose rows sum to the gains (3,)."""
+    """Usual matrix (3, 3) from clean to final colours in linear light; its rows sum to the gains (3,)."""
     return typical_matrix(gains, _SHARE)
 
 
 def plain_prior(objective: PixelObjective, at: Point, gains: np.ndarray, fit_on: Sequence[int]) -> Prior:
-    """About the matrix and the curve of the plain base.
+    """Prior on the matrix and the curve of the plain base.
 
     Args:
         objective: of pixels.
-        at: noise-free; all of its base is fitted.
-        gains: (3,) of `usual_matrix`.
-        fit_on: the pairs that are fitted.
+        at: a point of the noise-free base, whose coordinates are all fitted.
+        gains: (3,) gains of `usual_matrix`.
+        fit_on: indices of the fitted pairs.
     """
     model = at.model
     index = {(c.node, c.move.field, c.move.index): k for k, c in enumerate(model.base)}
@@ -83,8 +83,10 @@ def plain_prior(objective: PixelObjective, at: Point, gains: np.ndarray, fit_on:
 
 
 def _variance(objective: PixelObjective, at: Point, fit_on: Sequence[int]) -> float:
-    """Of the mean of all tiles' errors, were tiles independent: noise averages out in them, what is wrong
-    with tones does not."""
+    """Variance of the mean error over tiles, which are taken as independent.
+
+    Noise averages out within a tile; errors of tone do not.
+    """
     which = list(fit_on)
     residual, weight = objective.residual(at)[which], objective.weight[which][..., :1]
     sums, counts = (_tiles(a) for a in (residual * weight, weight**2))
@@ -94,7 +96,7 @@ def _variance(objective: PixelObjective, at: Point, fit_on: Sequence[int]) -> fl
 
 
 def _tiles(values: np.ndarray) -> np.ndarray:
-    """(tiles, C) sums of (N, h, w, C)."""
+    """Sums (tiles, C) of values (N, h, w, C) over tiles."""
     edges = [np.arange(0, n, _TILE) for n in values.shape[1:3]]
     sums = np.add.reduceat(np.add.reduceat(values, edges[0], 1), edges[1], 2)
     return np.asarray(sums.reshape(-1, values.shape[-1]), float)

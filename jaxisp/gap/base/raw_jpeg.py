@@ -1,4 +1,4 @@
-"""RAW+JPEG pairs: their base, fitted or given, and what it leaves to explain."""
+"""The base of RAW+JPEG pairs, fitted or given, and the case that it leaves to explain."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -33,14 +33,15 @@ _SAMPLING = "chroma_subsampling"
 
 
 def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
-    """A given camera, whose parameters are believed, with what each RAW states put in.
+    """Build the model of a given camera, with its own parameters and those that each RAW states.
 
-    An effect that the camera has as a stage of the same name acts on that stage, unless each RAW states its
-    parameters or the effect is searched for. It is left out where it has no room to act, and demosaicking
-    where the camera's own is no known algorithm.
+    If the camera has a stage with the name of an effect, the effect acts on that stage. Exceptions are stages
+    whose parameters each RAW states, and effects that are searched on a grid. Effects without room to move
+    are left out. Demosaicking is left out if the camera's algorithm is unknown.
 
     Raises:
-        InputError: it does not turn a mosaic into encoded sRGB, or draws noise or parameters at random.
+        InputError: the camera does not turn a mosaic into encoded sRGB, or draws noise or parameters at
+            random.
     """
     check_camera(camera)
     raws, cfa = raws_of(loaded)
@@ -72,8 +73,13 @@ def _leaves(params: Any) -> list[Any]:
 
 
 def _sampled(nodes: Sequence[Node], file: Jpeg | None) -> tuple[list[Node], Params]:
-    """The nodes with chroma sampled as the file states, or as the camera's own encoder has it where no file
-    states it, in place of what they do as a file; and the parameters of that."""
+    """Replace the file's compression by its chroma sampling.
+
+    The sampling is that of the file's header or, without a header, of the camera's own encoder.
+
+    Returns:
+        the nodes; the parameters of the chroma sampling.
+    """
     kept, sampling = list(nodes), "" if file is None else file.subsampling
     while isinstance(last := kept[-1], Stage) and is_file(last):
         sampling = sampling or str(last.options.get("subsampling", ""))
@@ -94,8 +100,16 @@ def raw_case(
     split: Split | None = None,
     criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Case:
-    """RAW+JPEG pairs with the base before them: a camera, or a plain one that is fitted. Every other scene
-    is fitted, unless a split says otherwise."""
+    """Build the case of RAW+JPEG pairs on their base.
+
+    Args:
+        loaded: the pairs.
+        camera: the base; default: fit a plain camera.
+        exclude: names of effects that are not tried.
+        tick: progress callback, called with (done, total, text).
+        split: fitted and held-out pairs; default: every other scene is fitted.
+        criteria: thresholds of the verdict.
+    """
     pairs, file = raw_pairs(loaded), loaded[0].jpeg
     split = split_of(pairs.names) if split is None else split
     effects = candidates(RAW_JPEG, exclude)
@@ -109,7 +123,7 @@ def raw_case(
     seen: tuple[str, ...] = ()
     place = (0, 0)
     if file is not None:
-        place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # where the gap lies, tried or not
+        place = earlier_grid(to_steps(pairs.pictures)[..., 0])  # also used to locate the gap
         if "double_compression" in model.effects:
             model = with_earlier_grid(model, place)
             if place == (0, 0):  # the file's own grid
@@ -121,7 +135,7 @@ def raw_case(
     objective = dataclasses.replace(objective, references=references, earlier=place)
     at = objective.at(model, z)
     stated = stated_by(file)
-    if file is None:  # was compressed once, if at all
+    if file is None:  # compressed at most once
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unidentifiable}
     stored = objective.floor_difference(at, [p.jpeg for p in loaded])

@@ -1,4 +1,4 @@
-"""The sensor and the demosaicker that are nearest to noisy pictures."""
+"""Search for the sensor and the demosaicker that fit noisy pictures best."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,24 +18,24 @@ from jaxisp.stages.choice import DEMOSAICKERS
 _SHARES = (0.0, 0.35, 0.7, 1.05, 1.4)
 _SOFTNESS = (0.0, 0.5, 0.8, 1.2, 1.8)  # px
 _CHROMA = 1.3  # px
-_CLEARLY_SOFT = 0.95  # of the error without: another demosaicker than all here gains 3 % by blur
-_CLEARLY_SMOOTH = 0.998  # likewise: cameras that do not smooth chroma lose a tenth by it
+_CLEARLY_SOFT = 0.95  # ratio of errors with and without blur; an unknown demosaicker alone gains 3 % by blur
+_CLEARLY_SMOOTH = 0.998  # likewise for smooth chroma; a camera without it loses a tenth
 
 
 @dataclasses.dataclass(frozen=True)
 class _View:
-    """The pictures, and through what the model's own are looked at.
+    """Pictures to fit, with an assumed blur of the lens and of chroma.
 
     Attributes:
-        pairs: those that are fitted, their light as soft as it is taken to be.
-        chroma: standard deviation [px] by which the model's chroma is smoothed.
+        pairs: the fitted pairs, their light blurred by the lens.
+        chroma: standard deviation [px] of the blur of the model's chroma.
     """
 
     pairs: Pairs
     chroma: float = 0.0
 
     def error(self, camera: Camera, params: Params) -> float:
-        """Mean square, all channels together."""
+        """Mean squared error over all channels, in squared 8-bit steps."""
         objective, model = PixelObjective.of(self.pairs), camera.mean_model(params)
         current = objective.picture(model, np.zeros(len(model.coordinates)))
         if self.chroma:
@@ -47,13 +47,13 @@ class _View:
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """What is nearest through one view.
+    """The best camera under one view.
 
     Attributes:
-        view: what the pictures were looked at through.
-        camera: the nearest.
-        error: its own.
-        linear: that of the nearest that demosaicks linear values.
+        view: the assumed blur.
+        camera: the best camera.
+        error: its error.
+        linear: error of the best camera that demosaicks linear values.
     """
 
     view: _View
@@ -65,10 +65,18 @@ class _Found:
 def find_sensor(
     camera: Camera, params: Params, pairs: Pairs, fit_on: Sequence[int], any_pattern: bool
 ) -> Camera:
-    """Pattern, demosaicker, order and primaries that are nearest to the pictures, through a lens as soft and
-    with chroma as smooth as it takes: blur that the base lacks, and filters or files that smooth chroma, hide
-    what they do at edges, and the softest would stand in for it. Square roots stand in for smooth chroma, so
-    that is asked of linear values.
+    """Find the Bayer pattern, demosaicker, order of white balance and primaries that fit the pictures best.
+
+    Blur of the lens and smooth chroma are fitted along. They hide demosaicking errors at edges, and the
+    softest demosaicker would imitate them. Square roots imitate smooth chroma, so smoothness is decided on
+    linear values.
+
+    Args:
+        camera: the start of the search.
+        params: parameters of the noise-free base.
+        pairs: all pairs.
+        fit_on: indices of the fitted pairs.
+        any_pattern: whether the Bayer pattern is searched too.
     """
     pairs = pairs.take(fit_on)
     plain, smooth = (_through(chroma, camera, params, pairs, any_pattern) for chroma in (0.0, _CHROMA))
@@ -78,7 +86,7 @@ def find_sensor(
 
 
 def _through(chroma: float, camera: Camera, params: Params, pairs: Pairs, any_pattern: bool) -> _Found:
-    """The nearest with chroma so smooth, through a lens that is soft only where that is worth it."""
+    """The best camera for this blur of chroma; the lens is soft only if that clearly lowers the error."""
     found: list[_Found] = []
     for sigma in _SOFTNESS:
         view = _View(_softened(pairs, sigma), chroma)
@@ -87,7 +95,7 @@ def _through(chroma: float, camera: Camera, params: Params, pairs: Pairs, any_pa
         own = _on_roots(linear, params, view)
         found.append(_Found(view, own, view.error(own, params), view.error(linear, params)))
         if len(found) > 1 and found[-1].error > found[-2].error:
-            break  # taken to fall as far as the lens is soft, and to rise from there
+            break  # the error is assumed to have one minimum along the blur
     best = min(found, key=lambda f: f.error)
     return best if best.error <= _CLEARLY_SOFT * found[0].error else found[0]
 
@@ -98,7 +106,7 @@ def _softened(pairs: Pairs, sigma: float) -> Pairs:
 
 
 def _refined(camera: Camera, params: Params, view: _View) -> Camera:
-    """Gains and share of the primaries nearer than the grids that they were chosen from."""
+    """Refine the gains and the share of the primaries beyond the grids that they were chosen from."""
     for step in (0.16, 0.08):
         red, blue = camera.gains
         gains = [(red * (1 + i * step), blue * (1 + j * step)) for i in (0, -1, 1) for j in (0, -1, 1)]
@@ -111,7 +119,7 @@ def _refined(camera: Camera, params: Params, view: _View) -> Camera:
 
 
 def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
-    """The Bayer pattern whose demosaicking errors the pictures have: RGGB on pictures that are moved."""
+    """Choose the Bayer pattern by its demosaicking errors; a pattern is RGGB on shifted pictures."""
     moves = [(0, 0), (0, 1), (1, 0), (1, 1)]
     choices = [dataclasses.replace(camera, algorithm=name) for name in ("bilinear", "malvar")]
     turned = [dataclasses.replace(view, pairs=_rolled(view.pairs, move)) for move in moves]
@@ -122,7 +130,7 @@ def _with_pattern(camera: Camera, params: Params, view: _View) -> Camera:
 
 
 def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
-    """The algorithm, on linear values, whether white is balanced before it or after, and by how much."""
+    """Choose the algorithm on linear values, the order of white balance, and the gains."""
     choices = [
         dataclasses.replace(camera, algorithm=name, late=late)
         for name in DEMOSAICKERS
@@ -132,7 +140,7 @@ def _with_demosaicking(camera: Camera, params: Params, view: _View) -> Camera:
 
 
 def _on_roots(camera: Camera, params: Params, view: _View) -> Camera:
-    """The camera, or what demosaicks square roots by its algorithm where that is clearly nearer."""
+    """The camera, or the same algorithm on square roots if that is clearly better."""
     rooted = [dataclasses.replace(camera, gamma=2.0, late=late) for late in (False, True)]
     nearest = _with_gains(_nearest(rooted, params, view), params, view)
     closer = view.error(nearest, params) <= ROOTED * view.error(camera, params)
@@ -147,12 +155,12 @@ def _with_gains(camera: Camera, params: Params, view: _View) -> Camera:
 
 
 def _rolled(pairs: Pairs, move: tuple[int, int]) -> Pairs:
-    """Moved so that another pattern's first photosite is where the model has a red one."""
+    """Shift pairs so that the first photosite of another pattern lies on a red one of the model."""
     turn = [np.roll(np.asarray(a), move, (1, 2)) for a in (pairs.light, pairs.pictures, pairs.mask)]
     return Pairs(pairs.names, jnp.asarray(turn[0]), turn[1], turn[2])
 
 
 def _nearest(choices: Sequence[Camera], params: Params, view: _View) -> Camera:
-    """The first of those whose error is the least but for a hair."""
+    """The first camera with the least error, within a relative tolerance of 1e-6."""
     errors = np.array(parallel_map(lambda choice: view.error(choice, params), choices))
     return choices[int(np.argmax(errors <= errors.min() * (1 + 1e-6)))]

@@ -1,1 +1,1 @@
-"""What denoisers gain by the effects found, and what flexible models reach."""
+"""Gain of denoisers by the effects found, and the lowest gap that flexible models reach."""

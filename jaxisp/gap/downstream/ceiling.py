@@ -1,8 +1,8 @@
-"""How far models that need no cause lower the gap: any effects, all of them at once, a network on the rest.
+"""The lowest gap that flexible models reach, as a reference for the closure of the named effects.
 
-Of statistics, which no network predicts, it is what the fitted pairs differ in. What the named effects close
-is little or much only beside that. None is a bound: a network learns what few pairs teach, and all effects
-together may fit those pairs alone. The lowest gap of any counts.
+The models are single effects, all effects at once, and a network that predicts the rest. For clean+noisy
+pairs, a constant shift of the statistics replaces the network. None of them is a bound: a network learns only
+from few pairs, and all effects together may overfit. The lowest gap of all models counts.
 """
 
 import functools
@@ -29,25 +29,29 @@ from jaxisp.train.step import split_model
 
 _WIDTH, _DEPTH = 24, 4
 _STEPS, _BATCH, _PATCH = 300, 8, 48
-_AROUND = 8.0  # px: the surroundings that local tone follows
+_AROUND = 8.0  # px, sigma of the surroundings, for local tone mapping
 
 
 def reducible(case: Case, gap: Gap, point: Point, after: float, refits: Sequence[float]) -> dict[str, Any]:
-    """The lowest gap that a flexible model reached on the held-out pairs, and what the causes are of that.
+    """Measure the lowest gap that a flexible model reaches on the held-out pairs.
 
     Args:
-        case: what is diagnosed.
-        gap: before any cause.
-        point: where the causes lead.
-        after: the gap there.
-        refits: with effects that were fitted, believed or not.
+        case: the diagnosed pairs and their base.
+        gap: the gap before any cause.
+        point: the point with the causes.
+        after: the gap at that point.
+        refits: gaps of all refitted effects, accepted or not.
 
     Returns:
-        {"best": that gap, "how": which model reached it, "explained": the share of `before - best` that the
-        causes close; None if cameras that lack nothing have as much}.
+        a dict with these keys:
+
+        - `best`: the lowest gap.
+        - `how`: the model that reached it.
+        - `explained`: share of `before - best` that the causes close; None if this difference is within the
+          range of cameras that lack no effect.
     """
     found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
-    if case.pixels is not None:  # all effects fit the statistics of a few scenes, and no others
+    if case.pixels is not None:  # on statistics of few scenes, all effects together overfit
         found["all effects at once"] = _together(case.pixels, point, case.offered)
         found["a small network on what is left"] = _network_leaves(case.pixels, point)
     elif case.statistics is not None:
@@ -59,7 +63,7 @@ def reducible(case: Case, gap: Gap, point: Point, after: float, refits: Sequence
 
 
 def _together(pixels: PixelObjective, point: Point, names: Sequence[str]) -> float:
-    """The held-out gap with every effect fitted together with the base; but for what is searched for."""
+    """The held-out gap with all effects fitted together with the base, except those searched on a grid."""
     model, gridded = point.model, searched(point.model, names)
     which = [*model.base_indices, *(i for i in model.indices(names) if i not in gridded)]
     z = fit(*pixels.fitted(point), which, steps=1).point.z
@@ -68,7 +72,7 @@ def _together(pixels: PixelObjective, point: Point, names: Sequence[str]) -> flo
 
 
 class _Network(nnx.Module):
-    """Four convolutions, which begin at nothing."""
+    """Four convolutions; the last starts at zero, so the first output is zero."""
 
     def __init__(self, channels: int, rngs: nnx.Rngs) -> None:
         widths = [channels, *[_WIDTH] * (_DEPTH - 1)]
@@ -82,8 +86,10 @@ class _Network(nnx.Module):
 
 
 def _network_leaves(pixels: PixelObjective, point: Point) -> float:
-    """The held-out gap where a network, taught by the fitted pairs, predicts what is left of the residual
-    from the simulator's picture, the mosaic, the place in frame and pattern, and the surroundings."""
+    """The held-out gap after a network, trained on the fitted pairs, predicts the residual.
+
+    Its inputs are the simulator's picture, the mosaic, the position in frame and CFA, and the surroundings.
+    """
     seen = _seen(pixels, point)
     residual = pixels.target - point.shown[0]
     fitted, held = list(pixels.split.fit), list(pixels.split.held_out)
@@ -96,7 +102,7 @@ def _network_leaves(pixels: PixelObjective, point: Point) -> float:
 
 
 def _seen(pixels: PixelObjective, point: Point) -> np.ndarray:
-    """(N, h, w, C) what the network is told of each pixel, each about as large as 1."""
+    """Inputs (N, h, w, C) of the network, each of about unit size."""
     (current,) = point.shown
     n, h, w, _ = current.shape
     light = np.asarray(pixels.pairs.light)[INNER]
@@ -110,7 +116,16 @@ def _seen(pixels: PixelObjective, point: Point) -> np.ndarray:
 
 
 def _learnt(seen: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[Any, Any]:
-    """The network as a function of its parameters, and these."""
+    """Train the network.
+
+    Args:
+        seen: (N, h, w, C) inputs.
+        wanted: (N, h, w, 3) targets of about unit size.
+        weight: (N, h, w, 1) weight of the squared error.
+
+    Returns:
+        the network as a function of (params, inputs); its trained parameters.
+    """
     start, update, apply, optimizer = _program(seen.shape[-1])
     params = jax.tree.map(jnp.copy, start)
     state, rng = optimizer.init(params), np.random.default_rng(0)
@@ -126,7 +141,7 @@ def _learnt(seen: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[A
 
 @functools.cache
 def _program(channels: int) -> tuple[Any, Any, Any, optax.GradientTransformation]:
-    """First parameters, the update and the network, jitted, and the optimizer."""
+    """Initial parameters, jitted update, jitted network, and optimizer."""
     graph, start, _ = split_model(_Network(channels, nnx.Rngs(0)), train=True)
     optimizer = optax.adam(optax.cosine_decay_schedule(3e-3, _STEPS))
     return start, *programs(graph, optimizer, _loss), optimizer

@@ -1,6 +1,7 @@
-"""Whether an effect that was found helps a denoiser.
+"""Test whether the effects found improve a denoiser.
 
-Small ones are trained on what the simulator makes without and with it, and put before the held-out pairs.
+Small denoisers are trained on simulated pictures without and with the effects, and measured on the held-out
+real pairs.
 """
 
 import dataclasses
@@ -31,10 +32,10 @@ from jaxisp.train.config import TrainConfig
 from jaxisp.train.optimizer import make_optimizer
 from jaxisp.train.step import split_model
 
-_DRAWS = 6  # of the noise of each scene
+_DRAWS = 6  # number of noise draws of each scene
 _BATCH, _PATCH = 8, 48
 _NETWORK = {"depth": 5, "features": 32}
-_VERSION = 1  # of what a kept figure means
+_VERSION = 1  # to be raised when the meaning of kept figures changes
 METRIC = (
     "PSNR [dB] and SSIM of the denoised held-out pairs in encoded sRGB, against the clean pictures in their "
     "tones, these given the mean and standard deviation of what they are compared with, per channel"
@@ -43,12 +44,13 @@ METRIC = (
 
 @dataclasses.dataclass(frozen=True)
 class _Task:
-    """What a denoiser is trained on and measured on; all encoded sRGB.
+    """Training and test pictures of a denoiser, encoded sRGB in [0, 1].
 
     Attributes:
-        noisy: (K, N, H, W, 3) K draws of N scenes.
-        clean: (N, H, W, 3).
-        held_noisy, held_clean: (M, H, W, 3) of the real pairs held out.
+        noisy: (K, N, H, W, 3) K noise draws of N scenes.
+        clean: (N, H, W, 3) clean pictures of these scenes.
+        held_noisy: (M, H, W, 3) real noisy pictures of the held-out pairs.
+        held_clean: (M, H, W, 3) their clean pictures.
     """
 
     noisy: np.ndarray
@@ -57,7 +59,7 @@ class _Task:
     held_clean: np.ndarray
 
     def digest(self, steps: int, seed: int) -> str:
-        """What the figures depend on."""
+        """Hash of everything that the figures depend on."""
         found = hashlib.sha1(repr((_VERSION, _NETWORK, _BATCH, _PATCH, steps, seed)).encode())
         for a in (self.noisy, self.clean, self.held_noisy, self.held_clean):
             found.update(np.ascontiguousarray(a, np.float32).tobytes())
@@ -67,17 +69,16 @@ class _Task:
 def measure_downstream(
     case: Case, models: Mapping[str, Point], how: Downstream, tick: Tick
 ) -> dict[str, Any]:
-    """Train and measure denoisers, one arm a simulator and one more on the real pairs that were fitted.
+    """Train and measure denoisers: one arm for each simulator, and one for the fitted real pairs.
 
-    All arms see the same clean scenes, those of the fitted pairs, and their patches at the same places in the
-    same order; a simulator's have several draws of noise each. The real arm, one draw, is what real pairs in
-    this number are worth.
+    All arms use the clean scenes of the fitted pairs, with the same patches in the same order. A simulator's
+    scenes have several noise draws; the real arm has one. The real arm shows the value of as many real pairs.
 
     Args:
         case: clean+noisy pairs, with its `reference`.
-        models: by the names of the arms, where their simulators stand.
-        how: the training.
-        tick: called with (done, total, text).
+        models: point of each simulator, by name of its arm.
+        how: training options.
+        tick: progress callback, called with (done, total, text).
 
     Returns:
         the report's "downstream": {"metric", "model", "parameters", "steps", "seeds", "scenes", "input",
@@ -170,7 +171,7 @@ def _network(seed: int) -> nnx.Module:
 
 @functools.cache
 def _program(steps: int) -> tuple[Any, Any, optax.GradientTransformation]:
-    """The update and the network, jitted, and the optimizer: one of each, whatever the arm and the seed."""
+    """Jitted update, jitted network, and optimizer; all arms and seeds share them."""
     config = TrainConfig(clean=(), recipe="", steps=steps, lr=2e-3, warmup=min(50, steps), clip_norm=1.0)
     optimizer = make_optimizer(config, steps)
     graph, _, _ = split_model(_network(0), train=True)
@@ -178,7 +179,7 @@ def _program(steps: int) -> tuple[Any, Any, optax.GradientTransformation]:
 
 
 def _measured(task: _Task, steps: int, seed: int) -> list[float]:
-    """PSNR and SSIM of a denoiser on the held-out pairs, trained from this seed."""
+    """PSNR [dB] and SSIM on the held-out pairs of a denoiser trained with this seed."""
     update, apply, optimizer = _program(steps)
     params = jax.tree.map(jnp.copy, split_model(_network(seed), train=True)[1])
     state, rng = optimizer.init(params), np.random.default_rng(seed)
@@ -190,7 +191,7 @@ def _measured(task: _Task, steps: int, seed: int) -> list[float]:
 
 
 def _patches(task: _Task, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """(8, 48, 48, 3) each; where they lie is the same for all arms."""
+    """Noisy and clean patches, (8, 48, 48, 3) each; their positions are the same for all arms."""
     count, (h, w) = len(task.clean), task.clean.shape[1:3]
     noisy, clean = [], []
     for _ in range(_BATCH):

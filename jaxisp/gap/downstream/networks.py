@@ -1,4 +1,4 @@
-"""What the small networks of a diagnosis share: their update and themselves, compiled."""
+"""Compiled update and application of the small networks of a diagnosis."""
 
 import functools
 from collections.abc import Callable
@@ -12,16 +12,16 @@ from flax import nnx
 def programs(
     graph: Any, optimizer: optax.GradientTransformation, loss: Callable[..., jax.Array]
 ) -> tuple[Any, Any]:
-    """The update and the network, jitted.
+    """Compile the update and the network.
 
     Args:
-        graph: of `split_model`, of a network without other state than its weights.
+        graph: from `split_model`; the network must have no state besides its weights.
         optimizer: of the weights.
-        loss: of what the network makes of a batch's first array, and the batch's others.
+        loss: function of the network's output for the batch's first array, and of the other arrays.
 
     Returns:
-        (params, state, *batch) -> (params, state), which reuses the memory of these two; and
-        (params, inputs) -> outputs.
+        the update (params, state, *batch) -> (params, state), which reuses the memory of its arguments; the
+        network (params, inputs) -> outputs.
     """
 
     def made(params: Any, inputs: jax.Array) -> Any:

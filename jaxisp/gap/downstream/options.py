@@ -1,4 +1,4 @@
-"""How the denoisers of a diagnosis are trained."""
+"""Training options of the denoisers of a diagnosis."""
 
 import dataclasses
 from pathlib import Path
@@ -8,13 +8,13 @@ from jaxisp.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Downstream:
-    """How the denoisers are trained.
+    """Training options of the denoisers.
 
     Attributes:
-        steps: updates of each, on 8 patches of 48x48 px.
-        seeds: one denoiser an arm and seed: of its first weights and its patches.
-        keep: a file for the figures of denoisers that are done: a second call with the same data and
-            simulators trains those that are missing only. None: nothing is kept.
+        steps: number of updates, each on 8 patches of 48x48 px; at least 1.
+        seeds: seeds of initial weights and patches; each arm trains one denoiser for each seed.
+        keep: file that stores the figures of trained denoisers. Another call with the same data and
+            simulators trains only the missing ones. None: nothing is stored.
     """
 
     steps: int = 500

@@ -1,1 +1,1 @@
-"""Statistics of a picture's residual, and its spectra."""
+"""Features: statistics of the residual of clean+noisy pairs, and residual spectra of both kinds of pairs."""

@@ -1,6 +1,6 @@
-"""Maps that the mean residual may follow, computed from the noise-free picture.
+"""Regressor maps for the mean of the residual, computed from the noise-free picture.
 
-By NumPy: they are worked out once a set of pairs, which takes less time than to compile them.
+The maps are computed once for each set of pairs. NumPy does this in less time than JAX needs to compile it.
 """
 
 import functools
@@ -21,26 +21,26 @@ CHANNELS = ("Y", "Cb", "Cr")
 _LUMA = tuple(255 * k / 7 for k in range(8))
 Maps = tuple[jax.Array, jax.Array]
 Found = dict[tuple[str, ...], jax.Array]
-"""Values (..., K) by their K names: computed together, since what is compiled would else take seconds."""
+"""Values (..., K) keyed by their K names. One array for K statistics keeps the compiled program small."""
 
 
 def named(pattern: str, *parts: Iterable[Any]) -> tuple[str, ...]:
-    """The pattern filled with every combination of the parts, the last fastest."""
+    """Fill the pattern with every combination of the parts; the last part varies fastest."""
     return tuple(pattern.format(*filled) for filled in itertools.product(*parts))
 
 
 def blurred(stack: jax.Array, sigma: float) -> jax.Array:
-    """(h, w, C)."""
+    """Gaussian blur of an (h, w, C) image; `sigma` in pixels."""
     return gaussian_blur(stack, sigma, int(np.ceil(3 * sigma)))
 
 
 def blurred_planes(planes: jax.Array, sigma: float) -> jax.Array:
-    """(C, h, w), in half the time."""
+    """Gaussian blur of (C, h, w) planes; `sigma` in pixels. It takes half the time of `blurred`."""
     return jax.vmap(lambda plane: blurred(plane, sigma))(planes)
 
 
 def tents(x: jax.Array, knots: tuple[float, ...]) -> list[jax.Array]:
-    """Overlapping tents that stand at the knots and sum to one."""
+    """Overlapping tent functions of `x`, one centred at each knot; they sum to one everywhere."""
     x = jnp.clip(x, knots[0], knots[-1])
     found = []
     for k, knot in enumerate(knots):
@@ -52,8 +52,11 @@ def tents(x: jax.Array, knots: tuple[float, ...]) -> list[jax.Array]:
 
 
 def regressors(s: np.ndarray) -> dict[str, tuple[int, np.ndarray]]:
-    """From the noise-free picture (h, w, 3) in steps: the channel a map is looked for in, and the map, by
-    "axis name"."""
+    """Compute all maps of a noise-free picture (h, w, 3), Y'CbCr in 8-bit steps.
+
+    Returns:
+        by "axis name": the index of the channel whose residual is regressed on the map, and the (h, w) map.
+    """
     maps: dict[str, tuple[int, np.ndarray]] = {}
     smooth, wide = (_smoothed(s, sigma) for sigma in (0.8, 2.0))
     for c, name in enumerate(CHANNELS):
@@ -96,7 +99,7 @@ def _of_luma(y: np.ndarray, smooth: np.ndarray) -> dict[str, tuple[int, np.ndarr
     for name, (down, across) in (("x", (0, 1)), ("y", (1, 0)), ("down", (1, 1)), ("up", (1, -1))):
         moved = [np.roll(smooth, (i * down, i * across), (0, 1)) for i in (-2, 2)]
         maps[f"orientation {name}"] = 0, smooth - 0.5 * (moved[0] + moved[1])
-    # halos that are all dark, or all bright
+    # this map responds to halos of one sign: dark on both sides of an edge, or bright on both sides
     maps["edge asymmetry"] = 0, np.abs(y - _smoothed(y, 1.5))
     maps["neighbourhood base"] = 0, y * (mean - mean.mean()) / 255
     maps["neighbourhood detail"] = 0, y - mean
@@ -115,22 +118,27 @@ def _of_colour(s: np.ndarray) -> dict[str, tuple[int, np.ndarray]]:
 
 
 def _smoothed(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(h, w) or (h, w, C)."""
+    """Gaussian blur of an (h, w) or (h, w, C) image; `sigma` in pixels, borders mirrored."""
     found: np.ndarray = gaussian_filter(image, sigma, mode="mirror", radius=math.ceil(3 * sigma), axes=(0, 1))
     return found
 
 
 def _tents(luma: np.ndarray) -> list[np.ndarray]:
-    """As `tents` at the knots of `_LUMA`."""
+    """NumPy version of `tents` at the knots `_LUMA`."""
     return [np.interp(luma, _LUMA, tent).astype(np.float32) for tent in np.eye(len(_LUMA))]
 
 
 def normalised_regressors(s: Any, mask: Any) -> list[tuple[Maps, ...]]:
-    """The maps of noise-free pictures (N, h, w, 3), for each picture and channel.
+    """Normalise the maps of each picture and channel.
+
+    Args:
+        s: (N, h, w, 3) noise-free pictures, Y'CbCr in 8-bit steps.
+        mask: (N, h, w) weight of each pixel.
 
     Returns:
-        (K, h w) the maps, scaled so that their product with a residual is its amplitude [8-bit steps, root
-        mean square], and (K, K) what turns these amplitudes into the coefficients of a regression.
+        for each picture and channel: the (K, h w) maps and a (K, K) matrix. The product of a map with a
+        residual is its amplitude [8-bit steps, root mean square]. The matrix turns the amplitudes into
+        regression coefficients.
     """
     return parallel_map(lambda pair: _of_picture(*pair), list(zip(np.asarray(s), np.asarray(mask))))
 
@@ -152,6 +160,6 @@ def _normalised(maps: np.ndarray, m: np.ndarray) -> Maps:
 
 @functools.cache
 def mean_names() -> tuple[str, ...]:
-    """ "mean axis what" of the maps, channel after channel, in the order of `normalised_regressors`."""
+    """Names "mean axis map" of all maps, channel by channel, in the order of `normalised_regressors`."""
     channels = {name: c for name, (c, _) in regressors(np.zeros((8, 8, 3), np.float32)).items()}
     return tuple(f"mean {name}" for c in range(3) for name in sorted(channels) if channels[name] == c)

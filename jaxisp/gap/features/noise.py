@@ -1,4 +1,4 @@
-"""The noise of one picture: its spread, correlation, tails and grids."""
+"""Noise statistics of one picture: variance, correlation, tails and grids."""
 
 import itertools
 from typing import Any
@@ -14,14 +14,14 @@ from jaxisp.gap.features.mean import CHANNELS, Found, blurred_planes, named, ten
 from jaxisp.gap.features.quantization import Quantization, averages, cosine, quantization_part, sums
 
 LUMA = (0.0, 28.0, 60.0, 100.0, 150.0, 200.0, 255.0)
-"""Where the tents of luma stand that noise is measured in: the dark has more to tell."""
+"""Luma knots (0 to 255) of the tents that noise is measured in; closer in the dark."""
 LEVELS = tuple(range(8, 81, 6))
-"""Values up to white that posterisation may leave."""
+"""Numbers of levels from black to white that are tested for posterisation."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
-_DARK = 70.0  # luma below which read noise is most of the noise
-_OUTLIER = 4.0  # standard deviations beyond which noise is a matter of tails
-_STRIPE = 16  # px: lines are measured on every second stripe, and on the stripes between
-_GUARD = 4  # px between the parts of stripes that bands of lines are measured on: grain reaches as far
+_DARK = 70.0  # luma; read noise dominates below it
+_OUTLIER = 4.0  # standard deviations; only the tail statistics use noise beyond it
+_STRIPE = 16  # px; line means over even stripes are compared with line means over odd stripes
+_GUARD = 4  # px left out between stripes when bands of lines are measured, since grain correlates this far
 
 
 def _log(numerator: Any, denominator: Any = 1.0, least: float = 0.02) -> jax.Array:
@@ -29,8 +29,10 @@ def _log(numerator: Any, denominator: Any = 1.0, least: float = 0.02) -> jax.Arr
 
 
 def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
-    """(h, w) near 1 where neither luma nor chroma of a noise-free picture (3, h, w) has edges, near 0 at
-    edges."""
+    """Flatness (h, w) in [0, 1] of a noise-free picture (3, h, w), Y'CbCr in 8-bit steps.
+
+    It is near 0 at edges of luma or chroma, near 1 elsewhere, and multiplied by the mask (h, w).
+    """
     smooth = blurred_planes(s, 1.0)
     down, right = (jnp.asarray(jnp.gradient(smooth, axis=a)) for a in (1, 2))
     activity = gaussian_blur(jnp.sqrt((down**2 + right**2).sum(0)), 2.0, 6)
@@ -38,9 +40,16 @@ def flatness(s: jax.Array, mask: jax.Array) -> jax.Array:
 
 
 def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: Quantization) -> Found:
-    """Spread, spectrum, correlation, lines, tails and grids of one residual's noise, r; it, the picture y and
-    the noise-free one s are (h, w, 3)."""
-    r, y, s = (materialize(jnp.moveaxis(a, -1, 0)) for a in (r, y, s))  # else all that reads one would step
+    """Compute variance, spectrum, correlation, line, tail and grid statistics of one picture's noise.
+
+    Args:
+        r: (h, w, 3) noise, Y'CbCr in 8-bit steps.
+        y: (h, w, 3) the picture.
+        s: (h, w, 3) the noise-free picture.
+        mask: (h, w) weight of each pixel.
+        seen: the map from the picture back to sensor values.
+    """
+    r, y, s = (materialize(jnp.moveaxis(a, -1, 0)) for a in (r, y, s))  # avoids strided reads of channels
     flat = materialize(flatness(s, mask))
     whole = materialize(r - blurred_planes(r, 2.5))
     r = materialize(r - whole + _without_outliers(whole, flat))
@@ -53,17 +62,21 @@ def noise_part(r: jax.Array, y: jax.Array, s: jax.Array, mask: jax.Array, seen: 
 
 
 def _without_outliers(high: jax.Array, flat: jax.Array) -> jax.Array:
-    """Noise (C, h, w) cut off where it is far beyond what it is around: a few hot pixels, which may lie
-    anywhere, would decide on all that is measured; tails are looked at apart."""
-    weight = flat + 0.02  # of edges, where nothing is flat around
+    """Clip noise (C, h, w) at `_OUTLIER` local standard deviations.
+
+    A few hot pixels would otherwise dominate all statistics. `_tails` measures outliers separately.
+    """
+    weight = flat + 0.02  # the constant keeps the mean defined where no flat area is near
     size = blurred_planes(jnp.abs(high) * weight, 4.0) / gaussian_blur(weight, 4.0, 12)
     most = _OUTLIER * jnp.sqrt(jnp.pi / 2) * (size + 0.1)
     return jnp.clip(high, -most, most)
 
 
 def _levels(picture: jax.Array, flat: jax.Array) -> Found:
-    """The characteristic function of what green differs in from its neighbour's: of few levels the
-    differences are multiples of one step."""
+    """Characteristic function of the differences between horizontal neighbours in green.
+
+    If a picture has few levels, the differences are multiples of one step.
+    """
     green = ycbcr_to_rgb_planes(*picture / 255)[1]
     step, weight = green[:, 1:] - green[:, :-1], flat[:, 1:] * flat[:, :-1]
     waves = cosine(jnp.asarray(LEVELS, step.dtype)[:, None, None] * step)
@@ -73,7 +86,7 @@ def _levels(picture: jax.Array, flat: jax.Array) -> Found:
 def _spread(
     high: jax.Array, bands: list[jax.Array], light: jax.Array, mask: jax.Array, flat: jax.Array
 ) -> Found:
-    """How large the noise is, by where it is looked at and by how coarse it is."""
+    """Log variances of the noise (3, h, w) by luma, CFA phase, edges, radius and frequency band."""
     down, across = (jnp.arange(n) / (n - 1) - 0.5 for n in mask.shape)
     outer = jnp.clip(2 * (down[:, None] ** 2 + across[None, :] ** 2), 0, 1)
     tented = [flat * tent for tent in tents(light, LUMA)]
@@ -97,13 +110,16 @@ def _spread(
 
 
 def _phases(shape: tuple[int, ...]) -> list[jax.Array]:
-    """(h, w) each: where row and column are even or odd."""
+    """Four (h, w) masks, one for each combination of even and odd rows and columns."""
     row, column = jnp.arange(shape[0])[:, None] % 2, jnp.arange(shape[1])[None, :] % 2
     return [(row == a) & (column == b) for a in (0, 1) for b in (0, 1)]
 
 
 def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
-    """With neighbours, in the dark, where read noise is most of it, and elsewhere; and between channels."""
+    """Correlations of the noise (3, h, w) with its neighbours and between channels.
+
+    They are measured separately in the dark, where read noise dominates, and in the light.
+    """
     parts, pairs = ("dark", "light"), ((0, 1), (0, 2), (1, 2))
     dark = jax.nn.sigmoid((_DARK - light) / 6)
     near = [high * jnp.roll(high, lag, (1, 2)) for lag in _LAGS[:3]]
@@ -119,7 +135,7 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
     return {
         named("corr lag Y{1} {0}", parts, _LAGS): luma.ravel(),
         named("corr lag {2}{1} {0}", parts, _LAGS[:3], CHANNELS[1:]): neighbours[..., 1:].ravel(),
-        # rows and columns have axes of their own
+        # rows and columns belong to other axes, so only diagonals are compared here
         named("corr orientation diagonals {}", parts): one - other,
         named("corr channel {1} {0}", parts, [CHANNELS[a] + CHANNELS[b] for a, b in pairs]): (
             found[:, 15:] / across
@@ -128,12 +144,14 @@ def _correlations(high: jax.Array, flat: jax.Array, light: jax.Array) -> Found:
 
 
 def _lines(r: jax.Array, flat: jax.Array) -> Found:
-    """How the mean of a row over every second stripe follows that over the stripes between, which white
-    noise does not make it do; alike for columns. "slow" is what varies over tens of lines."""
+    """Correlations of row means over even stripes with row means over odd stripes; likewise for columns.
+
+    White noise has none. Statistics named "slow" are of offsets that vary over tens of lines.
+    """
     found: Found = {}
     power = blurred_planes(r**2 * flat, 4.0) / (gaussian_blur(flat, 4.0, 12) + 1e-3)
     usual = averages(power, jnp.ones((1, *flat.shape), flat.dtype))[0, :, None, None]
-    even = r / jnp.sqrt(power + 0.1 * usual + 1e-3)  # quiet parts tell as much as loud ones
+    even = r / jnp.sqrt(power + 0.1 * usual + 1e-3)  # quiet and noisy areas then count alike
     weighed = materialize(even * flat)
     for axis, of, along in ((1, "row", "hw,wk->hk"), (0, "column", "hw,hk->wk")):
         at = np.arange(flat.shape[axis])
@@ -151,7 +169,7 @@ def _lines(r: jax.Array, flat: jax.Array) -> Found:
 
 
 def _agreement(a: jax.Array, b: jax.Array) -> jax.Array:
-    """(C,) of lines (n, C)."""
+    """Correlation (C,) of two series of line offsets (n, C)."""
     return (a * b).sum(0) / jnp.sqrt((a**2).sum(0) * (b**2).sum(0) + 1e-6)
 
 
@@ -174,7 +192,7 @@ def _tails(luma: jax.Array, light: jax.Array, flat: jax.Array) -> Found:
 
 
 def _grids(picture: jax.Array, flat: jax.Array) -> Found:
-    """What repeats every 8 px, or at certain values only."""
+    """Statistics of 8x8 blocks and of quantized values in a picture (3, h, w)."""
     found: Found = {}
     luma = picture[0]
     for axis, of in ((1, "columns"), (0, "rows")):
@@ -183,7 +201,7 @@ def _grids(picture: jax.Array, flat: jax.Array) -> Found:
         by_phase = jnp.matmul(jump, phase, precision="highest") / phase.sum(0)
         found[named("logvar block_phase {}{}", [of], range(8))] = _log(by_phase, by_phase.mean(), 0.01)
     h, w = (n // 8 * 8 for n in flat.shape)
-    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # edges must not count as noise
+    even = flat[:h, :w].reshape(h // 8, 8, w // 8, 8).mean((1, 3)).ravel()  # blocks with edges count less
     near = materialize(jnp.exp(-((_blocks(picture[:, :h, :w]) / 1.5) ** 2)))
     near = jnp.einsum("b,cbk->ck", even, near, precision="highest") / (even.sum() + 1e-3)
     band = (_ORDER // 4).clip(max=2).ravel() == np.arange(3)[:, None]
@@ -200,7 +218,7 @@ _WAVES = _WAVES / np.linalg.norm(_WAVES, axis=1, keepdims=True)
 
 
 def _blocks(picture: jax.Array) -> jax.Array:
-    """(C, blocks, 64) cosine transform of the 8x8 blocks of planes (C, h, w)."""
+    """Cosine transform (C, blocks, 64) of the 8x8 blocks of planes (C, h, w)."""
     c, h, w = picture.shape
     blocks = materialize(picture.reshape(c, h // 8, 8, w // 8, 8).swapaxes(2, 3).reshape(c, -1, 64))
     waves = jnp.asarray(np.kron(_WAVES, _WAVES), picture.dtype)

@@ -1,7 +1,7 @@
-"""Quantization: the values that the sensor read, as far as a picture still shows them, and their spacing.
+"""Quantization of sensor values, estimated from the finished picture.
 
-A converter of few levels leaves differences of neighbours that are multiples of one step; tone curve and
-matrix are undone with those of the fitted base, which need only be about right for that.
+An ADC with few levels leaves differences between neighbours that are multiples of one step. The tone curve
+and the colour matrix of the fitted base are inverted first. They only need to be approximately right.
 """
 
 from typing import NamedTuple
@@ -17,20 +17,20 @@ from jaxisp.gap.simulator.model import MIXING
 from jaxisp.pipeline import Params, run, stage
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(25, 200, 16))
-"""Levels per unit of light at which a comb is looked for: where noise of any kind leaves little. Fewer levels
-show at multiples of their number."""
+"""Levels per unit of linear light that are tested for a comb. Noise leaves little at these frequencies. An
+ADC with fewer levels shows at multiples of its number of levels."""
 _TABLE = 256
 _FEW = 4
 _BRIGHT = 110.0  # luma above which shot noise hides a comb
 
 
 class Quantization(NamedTuple):
-    """From a picture back to what the sensor read.
+    """The map from an encoded picture back to sensor values.
 
     Attributes:
-        light: (K,) linear light, rising, of `encoded` values evenly from 0 to 1.
-        inverse: (3, 3) linear sRGB to what the sensor reads of it, gains and all.
-        sites: (h, w, 3) 1 where a photosite has the colour.
+        light: (K,) linear light, increasing, of K encoded values spaced evenly from 0 to 1.
+        inverse: (3, 3) matrix from linear sRGB to sensor values, white-balance gains included.
+        sites: (h, w, 3) 1 where the photosite has this colour, else 0.
     """
 
     light: jax.Array
@@ -41,7 +41,15 @@ class Quantization(NamedTuple):
 def quantization(
     shared: Params, cfa: str, gains: tuple[float, float], shape: tuple[int, int], corner: int
 ) -> Quantization:
-    """Of the base's parameters; `corner` is where the frame of `shape` starts in the picture."""
+    """Build the map from the parameters of a fitted base.
+
+    Args:
+        shared: parameters of the base.
+        cfa: Bayer pattern, such as "RGGB".
+        gains: white-balance gains of red and blue, with green at 1.
+        shape: (h, w) of the measured frame.
+        corner: row and column of the picture where that frame starts.
+    """
     linear = np.linspace(0, 1.3, 2048, dtype=np.float32)
     curve = stage("spline_curve", name="tone_curve")
     grey = np.broadcast_to(linear[None, :, None], (1, len(linear), 3))
@@ -58,7 +66,7 @@ def quantization(
 
 
 def unknown_quantization(shape: tuple[int, int]) -> Quantization:
-    """Where nothing is known of the camera: its picture is taken for what the sensor read."""
+    """Default for an unknown camera: sensor values equal the picture. `shape` is (h, w)."""
     rows, columns = np.indices(shape) % 2
     sites = np.stack([rows * columns, rows ^ columns, (1 - rows) * (1 - columns)], -1)
     return Quantization(jnp.linspace(0, 1, _TABLE), jnp.eye(3), jnp.asarray(sites, jnp.float32))
@@ -67,11 +75,16 @@ def unknown_quantization(shape: tuple[int, int]) -> Quantization:
 def quantization_part(
     y: jax.Array, s: jax.Array, weight: jax.Array, seen: Quantization
 ) -> dict[tuple[str, ...], jax.Array]:
-    """The characteristic function of differences of next neighbours of one colour: values by their names.
+    """Characteristic function of the differences between nearest photosites of one colour.
 
     Args:
-        y: (3, h, w) the picture, s the noise-free one, in Y'CbCr steps.
-        weight: (h, w) of flat places.
+        y: (3, h, w) the picture, Y'CbCr in 8-bit steps.
+        s: (3, h, w) the noise-free picture, likewise.
+        weight: (h, w) flatness, see `noise.flatness`.
+        seen: the map from the picture back to sensor values.
+
+    Returns:
+        values (K,) by their names.
     """
     rgb = jnp.stack(ycbcr_to_rgb_planes(*y / 255))
     at = jnp.clip(rgb, 0, 1) * (_TABLE - 1)
@@ -85,10 +98,10 @@ def quantization_part(
 
 
 def sums(values: jax.Array, weights: jax.Array) -> jax.Array:
-    """(S, V) sums of values (V, ..., w) under each of the weights (S, ..., w).
+    """Weighted sums (S, V) of values (V, ..., w) under weights (S, ..., w).
 
-    As products of matrices: the compiler's own sum takes one number at a time. Under few weights row by row,
-    since it is inexact where a product has one row only.
+    Matrix products are used because XLA's own sum on CPUs is scalar. With few weights, the sums are taken row
+    by row: a product with only one row is inexact.
     """
     if len(weights) > _FEW:
         flat = (a.reshape(len(a), -1) for a in (weights, materialize(values)))
@@ -101,14 +114,16 @@ def sums(values: jax.Array, weights: jax.Array) -> jax.Array:
 
 
 def averages(values: jax.Array, weights: jax.Array) -> jax.Array:
-    """(S, V) likewise, over the sum of the weights."""
+    """Weighted means (S, V) of values (V, ..., w) under weights (S, ..., w)."""
     one = jnp.ones((1, *weights.shape[1:]), weights.dtype)
     return sums(values, weights) / (sums(one, weights) + 1e-3)
 
 
 def cosine(turns: jax.Array) -> jax.Array:
-    """The cosine of an angle in turns, to 1e-6 within a few hundred: the compiler's own takes longer than
-    all other statistics together."""
+    """Cosine of an angle in turns; the error is 1e-6 for angles up to a few hundred turns.
+
+    XLA's own cosine takes longer than all other statistics together.
+    """
     x = jnp.pi * (turns - jnp.round(turns))
     square = x * x
     sine = jnp.full_like(x, -1 / 39916800)
@@ -119,7 +134,7 @@ def cosine(turns: jax.Array) -> jax.Array:
 
 
 def _spectrum(read: jax.Array, weights: jax.Array) -> jax.Array:
-    """(K, S) of what the sensor read, by each of the weights (S, h, w)."""
+    """Characteristic function (K, S) at `FREQUENCIES` of sensor values (h, w), under weights (S, h, w)."""
     steps = jnp.stack([jnp.roll(read, -2, axis) - read for axis in (0, 1)])
     both = jnp.stack([weights * jnp.roll(weights, -2, 1 + axis) for axis in (0, 1)], 1)
     return jax.lax.map(lambda f: averages(cosine(f * steps)[None], both)[:, 0], jnp.asarray(FREQUENCIES))

@@ -1,4 +1,4 @@
-"""The part of a residual that repeats from scene to scene."""
+"""Statistics of the residual that repeats from scene to scene."""
 
 import jax
 import jax.numpy as jnp
@@ -7,12 +7,22 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.gap.features.mean import CHANNELS, Found, blurred_planes, named
 from jaxisp.gap.features.quantization import averages
 
-_PLAIN, _PLAINLY = 0.05, 0.2  # correlations from scene to scene above chance: of pixels, of spots
-_FEW = 2.5  # standard deviations of noise beyond which a pixel counts no more among those around
+_PLAIN, _PLAINLY = 0.05, 0.2  # correlations between scenes that exceed chance, for pixels and for spots
+_FEW = 2.5  # standard deviations of noise at which pixels are clipped before spots are measured
 
 
 def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array) -> Found:
-    """(N, K) each: how a pair's residual repeats in the other scenes, pixel by pixel and line by line."""
+    """Correlations of each pair's residual with the residuals of other scenes, by pixel and by line.
+
+    Args:
+        r: (N, h, w, 3) residuals, Y'CbCr in 8-bit steps.
+        s: (N, h, w, 3) noise-free pictures, likewise.
+        mask: (N, h, w) weight of each pixel.
+        others: (N, N) averaging matrix over other scenes, see `residual_statistics.Frames`.
+
+    Returns:
+        values (N, K) by their names.
+    """
     r, light = materialize(jnp.moveaxis(r * mask[..., None], -1, 1)), s[:, None, ..., 0]
     fine, spots = materialize(jax.lax.map(_fine_and_spots, r))
     luma = fine[:, :1]
@@ -30,17 +40,20 @@ def pattern_part(r: jax.Array, s: jax.Array, mask: jax.Array, others: jax.Array)
 
 
 def _fine_and_spots(r: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(C, h, w) each: what differs from pixel to pixel, in standard deviations; spots of 5 to 20 px."""
+    """Split a residual (C, h, w) into pixel detail [standard deviations] and spots of 5 to 20 px [steps]."""
     high = materialize(r - blurred_planes(r, 1.5))
     size = jnp.sqrt(averages(high**2, jnp.ones((1, *high.shape[1:]), high.dtype)))[0, :, None, None]
-    even = materialize(jnp.clip(r, -_FEW * size - 0.1, _FEW * size + 0.1))  # hot pixels are not spots
+    even = materialize(jnp.clip(r, -_FEW * size - 0.1, _FEW * size + 0.1))  # hot pixels must not form spots
     return jnp.clip(high / (size + 0.1), -4, 4), blurred_planes(even, 2.0) - blurred_planes(even, 8.0)
 
 
 def _repeated(values: jax.Array, which: jax.Array, plain: float = _PLAIN) -> jax.Array:
-    """(N, C) correlation with the mean of the others, beyond what is plain its logarithm: a pattern repeats
-    or does not; how much of it is seen beside a scene's light and noise is a matter of few pixels."""
-    flat = materialize(values.reshape(*values.shape[:2], -1).swapaxes(0, 1))  # else four times as long
+    """Correlation (N, C) of values (N, C, h, w) with the mean of the other scenes, compressed above `plain`.
+
+    Above `plain` it grows as a logarithm: whether a pattern repeats matters more than its contrast. The
+    contrast depends on the scene's light and noise at few pixels.
+    """
+    flat = materialize(values.reshape(*values.shape[:2], -1).swapaxes(0, 1))  # four times as fast
     products = jnp.einsum("cnp,cmp->cnm", flat, flat, precision="highest")
     both = jnp.einsum("cnm,nm->nc", products, which, precision="highest")
     theirs = jnp.einsum("nm,cmk,nk->nc", which, products, which, precision="highest")

@@ -1,10 +1,14 @@
-"""Statistics of residuals: numbers that say how a real picture differs from a simulated one.
+"""Statistics of residuals, which describe how a real picture differs from a simulated one.
 
-Pixels of two noise realisations never agree, so statistics of the residual are compared: what its mean
-follows (light, radius, edges, hue ...), see `mean`, how its noise is spread, correlated, shaped and
-repeated, and how light and colour change between the frames of a scene. The noise is measured on what is left
-when the mean's part, a regression on the noise-free picture's local features, is taken out: an error of the
-mean at edges is no noise. Repeated frames give it without any.
+Pixels of two noise realisations never agree, so statistics of the residual are compared:
+
+- the mean residual as a function of light, radius, edges, hue and so on, see `mean`;
+- variance, correlation, distribution and repetition of the noise;
+- changes of light and colour between the frames of a scene.
+
+The noise is the residual without its mean. The mean is a regression on local features of the noise-free
+picture, so errors of the mean at edges do not count as noise. With repeated frames, the noise is the
+difference from the scene's average, without regression errors.
 """
 
 import functools
@@ -22,11 +26,12 @@ from jaxisp.gap.features.repeats import pattern_part
 
 
 class Frames(NamedTuple):
-    """Which pictures are of one scene.
+    """Averaging matrices over pictures of the same scene and of other scenes.
 
     Attributes:
-        average: (N, N) the mean over the frames of the own scene; zero where there is one only.
-        others: (N, N) the mean over the frames of other scenes, or of the own where there is no other.
+        average: (N, N) mean over the frames of the picture's own scene; zero if the scene has one frame.
+        others: (N, N) mean over the frames of other scenes; over other frames of the own scene if all
+            pictures show one scene.
     """
 
     average: jax.Array
@@ -34,12 +39,12 @@ class Frames(NamedTuple):
 
     @property
     def repeated(self) -> bool:
-        """Whether any scene has several."""
+        """Whether any scene has several frames."""
         return bool((self.average > 0).any())
 
 
 def frames_of(scenes: Sequence[str]) -> Frames:
-    """From the name of the scene of each picture."""
+    """Build the averaging matrices from the scene name of each of N pictures."""
     same = np.equal.outer(scenes, scenes).astype(float)
     average = np.where(same.sum(1, keepdims=True) > 1, same / same.sum(1, keepdims=True), 0)
     others = 1 - same if (same == 0).any() else 1 - np.eye(len(same))
@@ -55,12 +60,18 @@ def features(
     frames: Frames,
     seen: Quantization,
 ) -> np.ndarray:
-    """(N, F) statistics of pictures (N, h, w, 3) against noise-free ones, all in Y'CbCr in 8-bit steps.
+    """Compute the statistics of pictures against noise-free pictures.
 
     Args:
-        maps: `normalised_regressors` of the pictures.
-        frames: where a scene has several, their noise is what each differs in from their mean.
-        seen: how to get back to what the sensor read.
+        y: (N, h, w, 3) the pictures, Y'CbCr in 8-bit steps.
+        s: (N, h, w, 3) the noise-free pictures, likewise.
+        mask: (N, h, w) weight of each pixel.
+        maps: `normalised_regressors` of the noise-free pictures.
+        frames: groups pictures by scene. The noise of repeated frames is their difference from the mean.
+        seen: the map from a picture back to sensor values.
+
+    Returns:
+        (N, F) statistics in the order of `feature_names`.
     """
     means, whole = _regressed(y, s, mask, maps)
     noise = _apart(whole, mask, frames.average)
@@ -75,22 +86,24 @@ def features(
 def noise_of(
     y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]], frames: Frames
 ) -> jax.Array:
-    """(N, h, w, 3) the noise that `features` are of: what a regression on the maps leaves, and where a scene
-    has several frames what each differs in from their mean."""
+    """Noise (N, h, w, 3) that `features` measures, Y'CbCr in 8-bit steps; arguments as there.
+
+    It is the remainder of the regression on the maps. The mean of repeated frames is subtracted from it.
+    """
     return _apart(_regressed(y, s, mask, maps)[1], mask, frames.average)
 
 
 def _regressed(
     y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]]
 ) -> tuple[jax.Array, jax.Array]:
-    """(N, M) amplitudes of the maps, and (N, h, w, 3) what a regression on them leaves."""
+    """Amplitudes (N, M) of the maps, and the remainder (N, h, w, 3) of the regression on them."""
     parts = [_mean_part(*own) for own in zip(y, s, mask, maps)]  # compiled once for any N
     means, whole = (jnp.stack(part) for part in zip(*parts))
     return means, whole
 
 
 def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:
-    """Compile the parts of `features` that take longest, for so many pictures of (h, w) each."""
+    """Compile the slowest parts of `features` for each number of pictures in `counts`; `shape` is (h, w)."""
     black, mask = jnp.zeros((*shape, 3)), jnp.zeros(shape)
     _noise_part(black, black, black, mask, unknown_quantization(shape))
     for n in counts:
@@ -101,7 +114,7 @@ def compile_features(counts: Iterable[int], shape: tuple[int, int]) -> None:
 def mean_features(
     y: jax.Array, s: jax.Array, mask: jax.Array, maps: Sequence[tuple[Maps, ...]]
 ) -> np.ndarray:
-    """(N, M) the first of the `features`, those of the mean, alone."""
+    """Statistics (N, M) of the mean alone: the first M columns of `features`."""
     return np.stack([_mean_part(*own)[0] for own in zip(y, s, mask, maps)])
 
 
@@ -119,7 +132,7 @@ def _patterns(*arguments: Any) -> jax.Array:
 def _mean_part(
     y: jax.Array, s: jax.Array, mask: jax.Array, maps: tuple[Maps, ...]
 ) -> tuple[jax.Array, jax.Array]:
-    """The amplitudes of one picture's maps, and what a regression on them leaves of its residual."""
+    """Amplitudes (M,) of one picture's maps, and the remainder (h, w, 3) of the regression on them."""
     means, left = [], []
     for c, (m, inverse) in enumerate(maps):
         flat = (y - s)[..., c].reshape(-1)
@@ -132,12 +145,12 @@ def _mean_part(
 
 @jax.jit
 def _apart(whole: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
-    """What each picture differs in from the mean of its scene's frames."""
+    """Difference (N, h, w, 3) of each picture from the mean of its scene's frames."""
     return jnp.tensordot(_differing(average), whole, 1, precision="highest") * mask[..., None]
 
 
 def _differing(average: jax.Array) -> jax.Array:
-    """(N, N) each picture less the mean of its scene's frames, as large as if the mean were known."""
+    """Matrix (N, N) that subtracts the mean of the scene's frames and keeps the variance of the noise."""
     apart = jnp.eye(len(average)) - average
     return apart / jnp.sqrt((apart**2).sum(1, keepdims=True))
 
@@ -147,8 +160,10 @@ _CHANGES = named("change frame {} {}", CHANNELS, ("dark", "bright"))
 
 @jax.jit
 def _changes(residual: jax.Array, light: jax.Array, mask: jax.Array, average: jax.Array) -> jax.Array:
-    """(N, K) by how many steps the darker and the brighter half of a picture differ from what they are on
-    average over its scene's frames; 0 where there is one frame only."""
+    """Absolute change (N, K) of the darker and of the brighter half of each picture, in 8-bit steps.
+
+    The reference is the mean over the scene's frames. The change is 0 if the scene has one frame.
+    """
     middle = ((light * mask).sum((1, 2)) / (mask.sum((1, 2)) + 1e-3))[:, None, None]
     halves = jnp.stack([mask * (light <= middle), mask * (light > middle)], -1)
     sums = jnp.einsum("nhwc,nhwk->nck", residual, halves, precision="highest")
@@ -159,8 +174,10 @@ def _changes(residual: jax.Array, light: jax.Array, mask: jax.Array, average: ja
 
 @functools.cache
 def _others() -> tuple[tuple[str, ...], np.ndarray]:
-    """The names of what is no mean, and where each stands in what `_noise_part`, `_patterns` and `_changes`
-    give."""
+    """Sorted names of all statistics other than those of the mean, and the permutation that sorts them.
+
+    The permutation applies to the joined outputs of `_noise_part`, `_patterns` and `_changes`.
+    """
     shape = jax.ShapeDtypeStruct((32, 32, 3), jnp.float32)
     mask = jax.ShapeDtypeStruct((32, 32), jnp.float32)
     noise = jax.eval_shape(noise_part, shape, shape, shape, mask, unknown_quantization((32, 32)))
@@ -175,5 +192,5 @@ def _others() -> tuple[tuple[str, ...], np.ndarray]:
 
 @functools.cache
 def feature_names() -> tuple[str, ...]:
-    """In the order of the columns of `features`; "kind axis what"."""
+    """Names "kind axis detail" of the columns of `features`."""
     return *mean_names(), *_others()[0]

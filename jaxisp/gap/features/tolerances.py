@@ -1,4 +1,4 @@
-"""Which difference of each statistic is harmless, and how much it counts."""
+"""The tolerance of each statistic (the difference that is harmless) and its weight in the gap."""
 
 import functools
 from collections.abc import Sequence
@@ -17,31 +17,35 @@ TOLERANCES: dict[str, float] = {
     "pattern tail": 0.01, "tail tail": 0.12, "code intensity": 0.03, "levels intensity": 0.03,
     "corr orientation": 0.03, "coarse fixed_pattern": 0.03, "change frame": 0.1,
 }  # fmt: skip
-"""Differences that cameras lacking nothing show, averaged over pairs, chance taken off: 8-bit steps for
-means and changes, logarithms and correlations for the rest. See docs/diagnosis.md for the cameras."""
+"""Tolerances: differences of cameras that lack no effect, averaged over pairs, with chance subtracted.
 
-_SHARED = ("pattern", "coarse", "change")  # what is looked for in other scenes or frames
+Means and changes are in 8-bit steps; the others are logarithms or correlations. docs/diagnosis.md describes
+the cameras."""
+
+_SHARED = ("pattern", "coarse", "change")  # these statistics compare a picture with other scenes or frames
 _ABSENT = 1e-12
-"""The weight of statistics that pictures cannot show: above 0, since units are divided by it."""
+"""Weight of statistics that the pictures cannot show. It is above 0 because units are divided by it."""
 _MOST = 30.0
-"""How many times as much as another a statistic can count at most for what the fitted pairs show of it."""
+"""Upper limit of `emphasis`."""
 
 
 def axis_of(name: str) -> str:
-    """The axis of the contract that a statistic belongs to."""
+    """The axis (second word) of a statistic's name."""
     return name.split()[1]
 
 
 def group_of(name: str) -> str:
-    """Statistics of one axis count as much together as those of another; those of the mean and of the noise
-    are apart."""
+    """The group of a statistic. All groups have the same total weight.
+
+    A group holds the statistics of one axis; statistics of the mean and of the noise have separate groups.
+    """
     kind, axis = name.split()[:2]
     return f"{kind} {axis}" if kind in ("mean", "code", "comb", "levels") else f"noise {axis}"
 
 
 @functools.cache
 def tolerances() -> np.ndarray:
-    """(F,) the differences that are taken for harmless."""
+    """Tolerance (F,) of each statistic, in its own unit."""
     return np.array([_tolerance(name) for name in feature_names()])
 
 
@@ -51,32 +55,34 @@ def _tolerance(name: str) -> float:
 
 @functools.cache
 def repeats() -> np.ndarray:
-    """(F,) how much more the mean over pairs scatters than it would were they independent: what two pairs
-    share counts for both."""
+    """Variance (F,) of the mean over pairs, relative to independent pairs.
+
+    It is 2 for statistics that compare two pairs, since each comparison enters both pairs.
+    """
     return np.array([2.0 if name.startswith(_SHARED) else 1.0 for name in feature_names()])
 
 
 @functools.cache
 def noise_only() -> np.ndarray:
-    """(F,) 1 for the statistics of noise, 0 for those of the mean."""
+    """Indicator (F,): 1 for statistics of the noise, 0 for statistics of the mean."""
     return np.array([float(not name.startswith("mean")) for name in feature_names()])
 
 
 @functools.cache
 def by_place() -> np.ndarray:
-    """(F,) 1 for the statistics of noise that a quarter of a frame has too: spots are as large."""
+    """Indicator (F,): 1 for noise statistics that a quarter of a frame can show; spots are too large."""
     spots = np.array([name.startswith("coarse") for name in feature_names()])
     return noise_only() * ~spots
 
 
 @functools.cache
 def of_few_pixels() -> np.ndarray:
-    """(F,) 1 for the statistics that a few pixels decide on: of tails, and of what repeats."""
+    """Indicator (F,): 1 for statistics that few pixels dominate: tails and repeated patterns."""
     return np.array([float(name.startswith(("tail", "pattern"))) for name in feature_names()])
 
 
 def _by_group(values: np.ndarray) -> np.ndarray:
-    """(..., F) the mean over the group of each statistic."""
+    """Replace each of the values (..., F) by the mean over its group."""
     groups = np.array([group_of(name) for name in feature_names()])
     found = np.empty_like(values)
     for group in set(groups):
@@ -86,12 +92,12 @@ def _by_group(values: np.ndarray) -> np.ndarray:
 
 
 def units(scatter: np.ndarray, uneven: np.ndarray) -> np.ndarray:
-    """(N, F) the square of what each statistic's difference is measured in.
+    """Squared unit (N, F) in which the difference of each statistic is measured.
 
     Args:
-        scatter: (N, F) the variance of its mean over a half by chance.
-        uneven: (N, F) the same as the quarters of the frame differ. It is a rough figure: a group's mean
-            counts, but where a few pixels decide.
+        scatter: (N, F) chance variance of the mean over a half of the pairs.
+        uneven: (N, F) the same variance, estimated from differences between quarters of the frame. The
+            estimate is rough, so its mean over a group is used, except for statistics of `of_few_pixels`.
     """
     squares = tolerances() ** 2 + scatter
     few = np.maximum(squares, uneven * of_few_pixels())
@@ -99,17 +105,18 @@ def units(scatter: np.ndarray, uneven: np.ndarray) -> np.ndarray:
 
 
 def emphasis(squares: np.ndarray) -> np.ndarray:
-    """How much more what differs by more than its unit counts, by squared differences in units."""
+    """Factor on a statistic's weight, from its squared difference in units; clipped to [1, `_MOST`]."""
     return np.asarray(np.clip(squares, 1.0, _MOST))
 
 
 def emphasised(plain: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """(F,) weights of mean one, where what has more of the gap counts more: one statistic shall not drown
-    in many.
+    """Weights (F,) of mean one that favour statistics with large differences.
+
+    Without this, one large difference would vanish among many small ones.
 
     Args:
         plain: (F,) `weights`.
-        more: (F,) the emphasis by what the fitted pairs differ in.
+        more: (F,) `emphasis` of the differences on the fitted pairs.
     """
     found = plain * more
     return np.asarray(found / found.mean())
@@ -117,10 +124,10 @@ def emphasised(plain: np.ndarray, more: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def weights(repeated: bool = False) -> np.ndarray:
-    """(F,) of mean one: each group counts the same.
+    """Weights (F,) of mean one, with the same total for each group.
 
     Args:
-        repeated: whether any scene has several frames; else what changes between them does not count.
+        repeated: whether any scene has several frames. If not, changes between frames do not count.
     """
     groups = [group_of(name) for name in feature_names()]
     counts = {g: groups.count(g) for g in groups}
@@ -130,21 +137,24 @@ def weights(repeated: bool = False) -> np.ndarray:
 
 
 def present(weights: np.ndarray) -> np.ndarray:
-    """(F,) bool, what pictures can show; emphasised or not."""
+    """Mask (F,) bool of the statistics that the pictures can show; `weights` may be emphasised."""
     return weights > 1e3 * _ABSENT
 
 
 def left_by_shift(
     apart: np.ndarray, scale: np.ndarray, weights: np.ndarray, fit: Sequence[int], held: Sequence[int]
 ) -> float:
-    """The gap of the held-out pairs where each statistic is moved by what the fitted pairs differ in, less
-    what chance and what is harmless have of that (the positive part of James and Stein 1961).
+    """The held-out gap after a constant shift of each statistic.
+
+    The shift is the mean difference of the fitted pairs, shrunk by chance and tolerance (the positive-part
+    estimator of James and Stein 1961).
 
     Args:
         apart: (N, F) differences in units.
-        scale: (N, F) what they were multiplied by for that.
-        weights: (F,) of the statistics, which are in `scale`.
-        fit, held: pairs; what is learnt of the first is taken off the others.
+        scale: (N, F) factors that turned differences into units; they include the roots of the weights.
+        weights: (F,) weights of the statistics.
+        fit: indices of the pairs that the shift is learnt from.
+        held: indices of the pairs that the gap is measured on.
     """
     learn, test = list(fit), list(held)
     wanted = apart[learn].mean(0)

@@ -1,4 +1,4 @@
-"""What to measure next: what would tell an effect from those that look like it, or show what is left."""
+"""Suggestions for the next measurement: to separate an effect from look-alikes, or to isolate the rest."""
 
 from collections.abc import Iterable, Sequence
 
@@ -62,7 +62,7 @@ _BETWEEN: dict[frozenset[str], str] = {
     }.items()
     for pair in pairs
 }  # fmt: skip
-"""By pair, what tells the one from the other; any two that `Effect.alternatives` names."""
+"""A measurement that separates two effects, for each two that `Effect.alternatives` lists."""
 
 _ON = {
     "radius": _FLAT, "row": _FRAMES, "column": _FRAMES, "intensity": _WEDGE, "hue": _CHART,
@@ -70,13 +70,13 @@ _ON = {
     "cfa_phase": _PHASE, "block_phase": _FILE, "neighbourhood": _SURROUND, "lag": _FRAMES, "tail": _DARK,
     "fixed_pattern": _FRAMES, "frame": _FRAMES,
 }  # fmt: skip
-"""By axis, what shows alone what lies there."""
+"""A measurement that isolates the gap on an axis, by axis."""
 
 _MORE = "more pairs, of scenes that differ"
 
 
 def between(effect: str, alternatives: Sequence[str]) -> str | None:
-    """A measurement that would tell an effect from these; None if there are none."""
+    """Measurements that separate an effect from its alternatives; None if it has none."""
     if not alternatives:
         return None
     found = [_BETWEEN.get(frozenset((effect, other)), _MORE) for other in alternatives]
@@ -84,5 +84,5 @@ def between(effect: str, alternatives: Sequence[str]) -> str | None:
 
 
 def about(axes: Iterable[str]) -> str:
-    """What would show alone what is left on these axes, of which the first counts most."""
+    """Measurements that isolate the remaining gap on these axes, in their order."""
     return "; ".join(dict.fromkeys(_ON[axis] for axis in axes)) or _MORE

@@ -1,4 +1,4 @@
-"""What the axes mean, and the statistics of clean+noisy pairs, in words."""
+"""Descriptions of the axes, and of the statistics of clean+noisy pairs."""
 
 import functools
 from collections.abc import Iterator, Mapping
@@ -8,7 +8,7 @@ from jaxisp.gap.features.mean import CHANNELS
 from jaxisp.gap.features.noise import LEVELS, LUMA
 from jaxisp.gap.features.quantization import FREQUENCIES
 
-_LARGEST = 6  # statistics of an axis that are shown
+_LARGEST = 6  # number of statistics shown for an axis
 STATISTICS = {
     "radius": "gain and noise towards the corners",
     "row": "offsets of whole rows",
@@ -28,7 +28,7 @@ STATISTICS = {
     "fixed_pattern": "what stays at the same pixels from picture to picture",
     "frame": "what changes from frame to frame",
 }
-"""Of clean+noisy pairs: what the statistics of each axis are about."""
+"""For clean+noisy pairs: the meaning of the statistics on each axis."""
 PIXELS = {
     "radius": "across: from the middle (0) to the corners (1)",
     "row": "across: rows from the top",
@@ -48,11 +48,15 @@ PIXELS = {
     "fixed_pattern": "what stays at the same pixels from picture to picture",
     "frame": "across: scene by scene, what its frames are off by, less what they are on average",
 }
-"""Of RAW+JPEG pairs: what the profile of each axis runs over."""
+"""For RAW+JPEG pairs: the quantity along the profile of each axis."""
 
 
 def statistic_rows(where: Mapping[str, Any]) -> tuple[list[dict[str, Any]], str]:
-    """The statistics of an axis that differ most as bars about a middle, and a note on the others."""
+    """Bars for the statistics of an axis that differ most, and a note on the others.
+
+    Args:
+        where: a row of `where` in report.json.
+    """
     found = sorted(zip(where["bins"], where["profile"]), key=lambda f: -abs(f[1] or 0))
     shown, rest = found[:_LARGEST], found[_LARGEST:]
     top = abs(shown[0][1] or 0) or 1.0 if shown else 1.0
@@ -67,14 +71,14 @@ def _row(name: str, value: float, top: float) -> dict[str, Any]:
 
 
 def statistic(axis: str, name: str) -> str:
-    """What a bin of report.json is, "kind what" of this axis."""
+    """Description of a statistic; `name` is "kind detail", as in `bins` of report.json."""
     kind, _, what = str(name).partition(" ")
     return statistic_words().get(f"{kind} {axis} {what}", str(name))
 
 
 @functools.cache
 def statistic_words() -> dict[str, str]:
-    """By the names of `jaxisp.gap.features.residual_statistics.feature_names`."""
+    """Descriptions by the names of `jaxisp.gap.features.residual_statistics.feature_names`."""
     each = [text for channel in CHANNELS for text in _of_channel(channel)]
     return dict([*each, *_of_mean(), *_of_noise(), *_of_levels()])
 

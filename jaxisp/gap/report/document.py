@@ -1,4 +1,4 @@
-"""report.json: what a diagnosis found, by the contract's keys."""
+"""The content of report.json: the results of a diagnosis."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -40,26 +40,26 @@ _OUTLIER = "colours and tones of the fitted pairs do not carry over to it: more 
 
 
 def is_gap(case: Case, gap: Gap, found: Found) -> bool:
-    """Whether there is more of a gap than cameras that lack nothing have."""
+    """Whether the gap exceeds that of cameras that lack no effect, or a cause was accepted."""
     return bool(found.causes) or gap.exceeds(case.criteria.null_excess)
 
 
 def after(gap: Gap, found: Found) -> float:
-    """The gap with the causes."""
+    """The held-out gap once the causes are added."""
     return found.causes[-1][0].after if found.causes else gap.before
 
 
 def report_of(
     case: Case, gap: Gap, found: Found, aligned: Aligned, reducible: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """report.json, but for the seconds and the denoisers.
+    """Build the content of report.json, without the run time and the denoisers.
 
     Args:
-        case: what was diagnosed.
+        case: the diagnosed pairs and their base.
         gap: at the base.
-        found: by the search.
-        aligned: the pairs, with those that could not be used.
-        reducible: what flexible models reach; None where that was not measured.
+        found: result of the search.
+        aligned: the aligned pairs, and the files that could not be used.
+        reducible: result of `downstream.ceiling.reducible`; None if it was not measured.
     """
     held, model, there = case.split.held_out, found.point.model, is_gap(case, gap, found)
     apart = dict.fromkeys(model.effects, STATED) | {"double_compression": NO_HEADER}
@@ -93,7 +93,7 @@ def report_of(
 
 
 def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
-    """What was done to the pairs, and which are not among those that were fitted or held out."""
+    """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled."""
     rows = {row["name"]: row for row in aligned.rows}
     return {
         "aligned": [row for name, row in rows.items() if name not in outliers],
@@ -110,8 +110,10 @@ def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _statistics(rows: Rows) -> dict[str, Any]:
-    """Of clean+noisy pairs each statistic's difference before any cause, in units of what is harmless or
-    chance, and how much it counts: the gap is the mean of their squares, so weighed."""
+    """Difference [units of tolerance and chance] and weight of each statistic, before any cause.
+
+    The gap of clean+noisy pairs is the weighted mean of the squared differences. RAW+JPEG pairs have none.
+    """
     found = {
         f"{row['axis']} {name}": [value, weight]
         for row in rows
@@ -121,7 +123,10 @@ def _statistics(rows: Rows) -> dict[str, Any]:
 
 
 def _interval(case: Case, found: Found, left: float) -> list[float]:
-    """Of what is left; film grain moves no parameter, so its part is taken off every picture alike."""
+    """The 90 % interval [low, high] of the remaining gap.
+
+    Film grain moves no parameter, so its part is subtracted from every picture in proportion.
+    """
     units = case.evidence.units(found.point)[list(case.split.held_out)]
     share = left / max(float(np.nanmean(units)), 1e-12)
     return list(interval(clustered(case.evidence, share * units), 1.0))
@@ -154,6 +159,6 @@ def _unexplained(case: Case, gap: Gap, found: Found) -> dict[str, Any]:
 
 
 def _clear(rows: Rows, criteria: Criteria) -> list[str]:
-    """The axes that clearly have some of a gap, three at most."""
+    """Names of up to three axes that clearly show a part of the gap."""
     named = [r for r in rows if r["p_value"] <= criteria.clear and r["share"] > criteria.named_axis]
     return [str(row["axis"]) for row in named][:3]

@@ -1,4 +1,4 @@
-"""The part of report.html about denoisers that were trained without and with the effects found."""
+"""The section of report.html about denoisers trained without and with the effects found."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +13,7 @@ _ARMS = {
 
 
 def downstream_part(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """What the page shows of the report's "downstream"; None where it has none."""
+    """Text and table rows for the report's "downstream"; None if the report has none."""
     if found is None or "skipped" in found:
         return None if found is None else dict(found)
     effects = listed([words(name) for name in found.get("effects", ())]) or "the effects"

@@ -37,12 +37,12 @@ _ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("jaxisp", "gap/report"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
 _PLOTS, _BARS = 6, 8
-_LEAST_SHARE = 0.005  # of an axis that is listed
-_MOVED = 0.005  # of a stage's size: less is not worth a word
-_MORE = 0.02  # of the gap: what closes less more than another does not get lower
+_LEAST_SHARE = 0.005  # least share of an axis that is listed
+_MOVED = 0.005  # least relative change of a stage's parameters that is listed
+_MORE = 0.02  # share of the gap by which one effect must close more than another to be mentioned
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
-_FEW_PIXELS = 250_000  # of clean+noisy pairs: fewer leave "unknown" what more name (docs/diagnosis.md)
+_FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
 _SITES = {
     "scene": "the scene's light",
     "mosaic": "the mosaic as recorded",
@@ -58,18 +58,18 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
     """Write `report.json` and `report.html` into a folder.
 
     Args:
-        report: what report.json holds.
+        report: the content of report.json.
         pictures: of one held-out pair: `name`; `target`, `before` and `after` (H, W, 3) in [0, 1];
             `residual_before` and `residual_after` (h, w, 3) in Y'CbCr, 8-bit steps. Of all held-out pairs:
             `spread_before`, `spread_after` and `spread_real` or `spread_floor`, see
-            `jaxisp.gap.features.spectra`. Any but the first may be absent or None.
-        folder: made where it does not exist.
+            `jaxisp.gap.features.spectra`. All keys but `name` may be absent or None.
+        folder: created if it does not exist.
 
     Returns:
         the path of `report.html`.
 
     Raises:
-        InputError: nothing can be written there.
+        InputError: the folder cannot be written.
     """
     folder = output_folder(folder)
     text = json.dumps(plain(report), indent=1, allow_nan=False)
@@ -82,7 +82,7 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
 
 
 def plain(value: Any) -> Any:
-    """Numbers and lists that JSON knows; what is not finite becomes null."""
+    """Convert NumPy values to types that JSON supports; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -93,7 +93,7 @@ def plain(value: Any) -> Any:
 
 
 def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
-    """The page as text."""
+    """Render the page as HTML; arguments as for `write_report`."""
     report = plain(report)
     bars = _ranking(report)
     where = report["where"]
@@ -125,7 +125,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
 
 
 def sentence(report: Mapping[str, Any]) -> str:
-    """The verdict."""
+    """The verdict in one sentence."""
     causes = report["causes"]
     if report["verdict"] == "none":
         return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
@@ -136,7 +136,7 @@ def sentence(report: Mapping[str, Any]) -> str:
     if len(causes) == 1:
         c = causes[0]
         share = f"{percent(c['closed'])} {span(c['ci'])}"
-        # more than all: what is left is less than chance and harmless differences come to
+        # above 1 if the remaining gap is below the floor
         closed = f"all of the gap ({share})" if c["closed"] > 1 else f"{share} of the gap"
         return f"The simulator lacks {_group(c)}: it closes {closed} on held-out pairs{rest}"
     each = "; ".join(f"{_group(c)} ({percent(c['closed'])} {span(c['ci'])})" for c in causes)
@@ -147,7 +147,10 @@ def sentence(report: Mapping[str, Any]) -> str:
 
 
 def _nearest(report: Mapping[str, Any]) -> str:
-    """What was refused as the cause, since too much shows where it did before."""
+    """The refused cause that comes nearest, as a sentence; "" if there is none.
+
+    It is refused because the gap still shows on the same axes.
+    """
     near = report["unexplained"].get("nearest")
     if near is None:
         return ""
@@ -162,14 +165,14 @@ def _nearest(report: Mapping[str, Any]) -> str:
 
 
 def unexplained(report: Mapping[str, Any]) -> str:
-    """How much of the gap the named effects leave; "" where that is little, or none is named."""
+    """The share of the gap that the named effects leave; "" if it is small or no effect is named."""
     share = report["unexplained"]["share"]
     considerable = report["causes"] and finite(share) and share >= CRITERIA[report["kind"]].considerable
     return f"{percent(share)} of the gap stays unexplained" if considerable else ""
 
 
 def few_pairs(report: Mapping[str, Any]) -> str:
-    """A warning where there are fewer pairs than a diagnosis needs, or fewer pixels, else ""."""
+    """A warning if there are too few pairs or pixels for a diagnosis, else ""."""
     names = [*report["pairs"]["fit"], *report["pairs"]["held_out"]]
     count = len({re.sub(r" \((even|odd) tiles\)$", "", name) for name in names})
     if count < _FEWEST:
@@ -208,7 +211,7 @@ def _summary(report: Mapping[str, Any]) -> str:
 
 
 def _clear(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The axes that have more than chance, and than cameras that lack nothing."""
+    """The axes whose size exceeds chance and the null bank."""
     most = CRITERIA[report["kind"]].clear
     return [w for w in report["where"] if finite(w["p_value"]) and w["p_value"] <= most]
 
@@ -234,7 +237,7 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
 
 
 def reached(gap: Mapping[str, Any], named: bool) -> str:
-    """How other models compare with the named effects, or without these; "" where there is none."""
+    """Compare the lowest gap of a flexible model with the gap after the named effects; "" without a model."""
     found = gap.get("reducible") or {}
     if not finite(found.get("best")):
         return ""
@@ -247,7 +250,7 @@ def reached(gap: Mapping[str, Any], named: bool) -> str:
 
 
 def _lower(gap: Mapping[str, Any]) -> bool:
-    """Whether a flexible model gets lower than the named effects."""
+    """Whether a flexible model reaches a lower gap than the named effects."""
     best = (gap.get("reducible") or {}).get("best")
     return finite(best) and finite(gap["after"]) and best < gap["after"]
 
@@ -270,7 +273,7 @@ def _ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _closes(row: Mapping[str, Any]) -> str:
-    """The share that a candidate closes, in words where the gap grows by it."""
+    """The share of the gap that a candidate closes, as text; in words if it is negative."""
     ci = row.get("ci")
     if finite(row["closed"]) and row["closed"] < 0:
         return "the gap grows" if ci else "nothing"
@@ -278,7 +281,7 @@ def _closes(row: Mapping[str, Any]) -> str:
 
 
 def _status(row: Mapping[str, Any]) -> str:
-    """What came of a candidate, with names in words; "" where it was only not good enough."""
+    """The status of a candidate, with its reason if it was refused; "" if no reason is given."""
     if row["status"] == "accepted":
         return "found"
     said = row.get("reason", "")
@@ -294,7 +297,7 @@ def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | N
 
 
 def _place(x: float, top: float) -> float:
-    """Per cent of a track that ends at `top`."""
+    """Position of `x` in per cent of a track from 0 to `top`."""
     return round(100 * min(max(x / top, 0), 1), 2) if finite(x) else 0
 
 
@@ -336,7 +339,7 @@ def _left(report: Mapping[str, Any]) -> str:
 
 
 def next_measurements(report: Mapping[str, Any]) -> list[str]:
-    """What to measure, a sentence each."""
+    """Suggested measurements, one sentence each."""
     found = [
         f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
         f"{c['next_measurement']}."
@@ -377,7 +380,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _moved(base: Mapping[str, Any]) -> str:
-    """By how much, of its own size, each of the base's stages is another where the causes are added."""
+    """Relative change of each base stage's parameters once the causes are added, as text; largest first."""
 
     def flat(fields: Mapping[str, Any]) -> np.ndarray:
         return np.array([v for values in fields.values() for v in np.ravel(values)], float)
@@ -402,6 +405,6 @@ def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
         caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
         shown.append(
             (2 + _WHEN.index(when), caption, difference_picture(residual, gain))
-        )  # under its picture
+        )  # below its picture
     figures = [{"column": c, "caption": text, "uri": data_uri(a)} for c, text, a in shown if a is not None]
     return {"name": str(pictures.get("name", "")), "figures": figures} if figures else None

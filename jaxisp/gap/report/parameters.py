@@ -1,4 +1,4 @@
-"""What the parameters of a cause are called on the page: the member of a family, not its place in a list."""
+"""Names of a cause's parameters on the page: members of a family by name instead of index."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,13 +32,17 @@ MEMBERS: dict[tuple[str, str], tuple[str, ...]] = {
     ("color_matrix", "matrix"): tuple(f"{to} from {of}" for to in _COLOURS for of in _COLOURS),
     ("tone_curve", "offsets"): tuple(f"at {k / 11:.2f} of white" for k in range(12)),
 } | {("color_lut", field): _SECTORS for field in ("hue", "saturation", "lightness")}  # fmt: skip
-"""The members of each family, by effect and field, in the order of the stage's parameters."""
-_ZERO = 0.1  # of the family's largest change: what is less is left out
-_MOST = 6  # members of a family that are shown
+"""Members of each family by effect and field, in the order of the stage's parameters."""
+_ZERO = 0.1  # share of the family's largest change; smaller changes are left out
+_MOST = 6  # largest number of members shown
 
 
 def parameters_of(cause: Mapping[str, Any]) -> list[str]:
-    """A line for each field of the effect's parameters, numbers with their unit and meaning."""
+    """One line for each field of the effect's parameters, with unit and meaning.
+
+    Args:
+        cause: a row of `causes` in report.json.
+    """
     fields: dict[str, dict[str, Any]] = {}
     for key, value in cause["params"].items():
         field, _, index = key.partition("[")
@@ -64,7 +68,10 @@ def _specs(effect: Effect) -> dict[str, Any]:
 
 
 def _members(effect: str, field: str, values: Mapping[str, Any]) -> tuple[list[str], int]:
-    """The indices of what is not about zero, the largest of them, in order; and how many more there are."""
+    """Indices of the members with the largest changes, in order, and the number of further members.
+
+    Changes below `_ZERO` of the largest are ignored.
+    """
     moves = EFFECTS[effect].moves if effect in EFFECTS else ()
     off = {"".join(f"[{n}]" for n in m.index)[1:]: m.off for m in moves if m.field == field}
     change = {i: abs(v - off.get(i, 0.0)) if finite(v) else 0.0 for i, v in values.items()}

@@ -1,4 +1,4 @@
-"""What the page shows of the pictures."""
+"""Example pictures and residual spectra for the page."""
 
 from typing import Any
 
@@ -14,13 +14,22 @@ from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.pairs import INNER, to_steps
 
 Spreads = dict[str, dict[str, Spread]]
-"""By whose it is, of luma and chroma: "simulator", and beside it "floor", what the file's own compression
-leaves (where that is known), or "real", the noise of the real pictures."""
+"""Spectra of "luma" and "chroma", keyed by source: "simulator", and "floor" or "real".
+
+"floor" is the error of the file's own compression, if known. "real" is the noise of the real pictures."""
 
 
 def example(case: Case, point: Point, when: str) -> dict[str, Any]:
-    """One held-out pair as the simulator makes it at a point, what it lacks, and how that is spread in all of
-    the held-out pairs."""
+    """Render one held-out pair at a point, with its residual and the spectra of all held-out pairs.
+
+    Args:
+        case: the pairs and their objective.
+        point: where the simulator stands.
+        when: "before" or "after"; part of the keys.
+
+    Returns:
+        part of the `pictures` of `page.write_report`.
+    """
     pairs, i = case.pairs, case.split.held_out[0]
     if case.pixels is not None:
         whole = case.pixels.rendered(point.model, point.z)
@@ -40,7 +49,7 @@ def example(case: Case, point: Point, when: str) -> dict[str, Any]:
 
 
 def _of_residuals(pixels: PixelObjective, picture: np.ndarray, stored: np.ndarray | None) -> Spreads:
-    """Of what the pictures (N, h, w, 3) lack, in steps."""
+    """Spectra of target minus picture and of the floor, both (N, h, w, 3) Y'CbCr in 8-bit steps."""
     held = list(pixels.split.held_out)
     weight = pixels.weight[held][..., 0]
     left = {"simulator": pixels.target - picture, "floor": stored}
@@ -48,7 +57,7 @@ def _of_residuals(pixels: PixelObjective, picture: np.ndarray, stored: np.ndarra
 
 
 def _of_noise(measure: Measure, picture: np.ndarray) -> Spreads:
-    """Of the noise of the pictures (N, h, w, 3) in steps, and of the real ones."""
+    """Spectra of the noise of simulated pictures (N, h, w, 3), Y'CbCr in 8-bit steps, and of real ones."""
     held = list(measure.split.held_out)
     weight = np.sqrt(np.asarray(measure.mask))[held]
     frames = frames_of(measure.scenes(held))

@@ -1,4 +1,4 @@
-"""Small plots and pictures that stand inside a page: SVG that takes the page's colours, and PNG."""
+"""Small plots and pictures embedded in a page: SVG in the page's colours, and PNG."""
 
 import base64
 import io
@@ -10,15 +10,15 @@ from markupsafe import escape
 from PIL import Image
 
 WIDTH, HEIGHT, LEFT, RIGHT, BOTTOM = 300, 170, 46, 10, 28
-"""Of every plot, and the margins that its axes have."""
+"""Size of every plot and margins around its axes, SVG user units."""
 _TOP = 12
 _MOST_BARS = 16
 _GAINS = (32, 16, 8, 4, 2, 1)
-_WITHIN = 98  # per cent of the differences that a gain must leave between black and white
+_WITHIN = 98  # per cent of the differences that must stay between black and white after the gain
 
 
 def curve(bins: Sequence[Any], profile: Sequence[float], title: str) -> str:
-    """An SVG of a profile: a line where there are many bins, bars where there are few or they have names."""
+    """An SVG of a profile: bars for few or named bins, a line for many bins, a grid for 64 bins."""
     values = np.nan_to_num(np.asarray(profile, float))
     if not len(values):
         return svg(title, f'<text x="{WIDTH / 2}" y="{HEIGHT / 2}" text-anchor="middle">no profile</text>')
@@ -54,7 +54,7 @@ def _ticks(low: float, high: float, at: Any) -> str:
 
 
 def _labels(bins: Sequence[Any], centres: np.ndarray) -> str:
-    """As many of the bins' names as there is room for."""
+    """Labels of the bins, thinned out to fit the width."""
     texts = [b if isinstance(b, str) else f"{b:.3g}" if b == 0 or abs(b) >= 1 else f"{b:.2f}" for b in bins]
     room = (WIDTH - LEFT - RIGHT) / (6.2 * max((len(t) for t in texts), default=1) + 8)
     step = max(1, int(np.ceil(len(texts) / max(room, 1))))
@@ -65,7 +65,7 @@ def _labels(bins: Sequence[Any], centres: np.ndarray) -> str:
 
 
 def _grid(values: np.ndarray) -> str:
-    """8x8 squares, the darker the farther from the smallest."""
+    """8x8 squares; larger values (8, 8) are drawn darker."""
     spread = np.ptp(values) or 1.0
     size = (HEIGHT - 2 * _TOP) / 8
     left = (WIDTH - 8 * size) / 2
@@ -78,7 +78,7 @@ def _grid(values: np.ndarray) -> str:
 
 
 def svg(title: str, inside: str) -> str:
-    """A plot that is read out as its title."""
+    """Wrap SVG elements in a plot; screen readers read its title."""
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">'
         f"<title>{escape(title)}</title>{inside}</svg>"
@@ -86,14 +86,17 @@ def svg(title: str, inside: str) -> str:
 
 
 def gain_for(residuals: Sequence[Any]) -> int:
-    """How many times larger differences can be shown about grey, the same for all of them: (h, w, 3) Y'CbCr
-    in 8-bit steps each."""
+    """The largest gain at which all residuals fit between black and white around grey.
+
+    Args:
+        residuals: (h, w, 3) each, Y'CbCr in 8-bit steps.
+    """
     high = max((float(np.percentile(np.abs(_rgb(r)), _WITHIN)) for r in residuals), default=0.0)
     return next((gain for gain in _GAINS if gain * high <= 127.5), 1)
 
 
 def difference_picture(residual: Any, gain: float) -> np.ndarray:
-    """(h, w, 3) Y'CbCr in 8-bit steps as RGB about grey."""
+    """Show a residual (h, w, 3), Y'CbCr in 8-bit steps, as RGB around grey; it may leave [0, 1]."""
     return 0.5 + _rgb(residual) * gain / 255
 
 
@@ -103,7 +106,10 @@ def _rgb(residual: Any) -> np.ndarray:
 
 
 def data_uri(picture: Any, longest: int = 512) -> str:
-    """A picture in [0, 1] as PNG in the page, made smaller by whole steps where it is large."""
+    """Encode a picture (h, w, 3) in [0, 1] as a PNG data URI.
+
+    Pictures longer than `longest` px are reduced by an integer factor.
+    """
     levels = np.nan_to_num(np.asarray(picture, np.float64), nan=0.5)
     step = -(-max(levels.shape[:2]) // longest)
     h, w = (n // step * step for n in levels.shape[:2])

@@ -1,4 +1,4 @@
-"""The rows of report.json: the base, a cause, the ranking."""
+"""Rows of report.json for the base, a cause and the ranking."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping
@@ -25,8 +25,16 @@ def base_row(
     open_nodes: Iterable[str] = (),
     after: Params | None = None,
 ) -> dict[str, Any]:
-    """The base at a point: its stages, its fitted numbers, what it absorbed, and what it is where it was
-    given; with these numbers `after` the causes are added, some of which it had imitated."""
+    """Describe the base at a point: its stages, fitted parameters and absorbed effects.
+
+    Args:
+        model: the simulator.
+        z: the point, in the coordinates of the model.
+        absorbed: share of the error that the base absorbed, by effect; None if it was not measured.
+        given: description of a given base; None if a plain base was fitted.
+        open_nodes: names of further nodes with fitted parameters.
+        after: parameters once the causes are added; the base may have imitated some of them.
+    """
     names = {c.node for c in model.base} | {*open_nodes}
     if given is None:
         names.add("demosaicking")
@@ -47,13 +55,23 @@ def base_row(
 
 
 def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[str, Any]:
+    """Describe an accepted cause.
+
+    Args:
+        trial: the accepted trial.
+        alike: effects that these pairs cannot distinguish from it.
+        tried: number of effects tried, for the correction of the p-value.
+        model: the simulator.
+    """
     effect = EFFECTS[trial.effect]
     params: dict[str, Any] = dict(trial.params)
     for i in () if params else model.indices([trial.effect]):
         moved = model.coordinates[i]
         key = moved.move.field + "".join(f"[{n}]" for n in moved.move.index)
         params[key] = round(float(model.origin(moved) + trial.z[i]), 5)
-    spread = max((trial.closed - trial.low) / 1.645, 1e-6)  # towards 0: the interval may be lopsided
+    spread = max(
+        (trial.closed - trial.low) / 1.645, 1e-6
+    )  # of the lower side: the interval may be asymmetric
     return {
         "effect": trial.effect,
         "site": effect.site,
@@ -69,7 +87,7 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
 
 
 def _p_value(z: float, tried: int) -> float:
-    """One-sided and normal, times the number of effects tried (Bonferroni)."""
+    """One-sided normal p-value, times the number of effects tried (Bonferroni)."""
     return float(min(1.0, 0.5 * erfc(z / sqrt(2)) * tried))
 
 
@@ -83,13 +101,13 @@ ABSORBED = "taken up by the base fit"
 STATED = "the file's header states it"
 NO_COLOURS = "these pairs have no colours: a usual matrix stands for the camera's"
 NO_HEADER = "without the file's header nothing tells it from the file's own compression"
-"""Why a candidate was not named; any of `ranking`'s reasons."""
+"""Reasons in `ranking` for refusing a candidate."""
 _COLOURS = {"hue", "saturation"}
-"""The axes of what acts by colour alone."""
+"""Axes of the effects that act on colour alone."""
 
 
 def _refusal(trial: Trial, found: Found, criteria: Criteria) -> str | None:
-    """Why an effect that was refitted was not accepted, unless its interval says so itself."""
+    """The reason for refusing a refitted effect; None if its interval alone is the reason."""
     causes = [t for t, _ in found.causes]
     if causes and closer_in_pixels(causes[0], trial, criteria):
         return f"takes pixels less near than {causes[0].effect}"
@@ -107,16 +125,18 @@ def _refusal(trial: Trial, found: Found, criteria: Criteria) -> str | None:
 def ranking_rows(
     found: Found, apart: Mapping[str, str], scale: float, criteria: Criteria
 ) -> list[dict[str, Any]]:
-    """All candidates, best first: the share that each closes, and what screening had predicted: by a straight
-    line, which knows no end, the whole at most. What was refitted has its interval, and whether it is
-    possible: it takes pixels no farther away. What was not tried closes nothing. What was not accepted though
-    its interval is above `Criteria.smallest` says why, and what was not tried.
+    """Rank all candidates: accepted causes first, then by the share of the gap that each closes.
+
+    Each row has the predicted share. It is linear, so it is limited to 1 if there was no refit. Rows of
+    refitted effects have the interval `ci` and `possible`: whether pixels stay as near to the real ones.
+    Effects that were not tried close 0. A `reason` is given for effects that were not tried, and for refused
+    effects whose interval lies above `Criteria.smallest`.
 
     Args:
-        found: by the search.
-        apart: by the effects that were not tried, why.
+        found: result of the search.
+        apart: reason for each effect that was not tried.
         scale: the gap above the floor.
-        criteria: what the verdict was decided by.
+        criteria: thresholds of the verdict.
     """
     accepted = {t.effect: t for t, _ in found.causes}
     alike = {name: t.effect for t, names in found.causes for name in names}

@@ -1,4 +1,4 @@
-"""The power spectra and autocorrelations on the page of a diagnosis."""
+"""Power spectra and autocorrelations on the page of a diagnosis."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -10,9 +10,9 @@ from jaxisp.gap.features.spectra import LAGS
 from jaxisp.gap.report.plots import BOTTOM, HEIGHT, LEFT, RIGHT, WIDTH, svg
 from jaxisp.gap.report.words import number
 
-_HEAD, _GUTTER = 26, 12  # room for the names above, and between maps
-_MAPS = 38  # where maps begin: they are less high than a plot
-_DEEPEST = 1e-5  # of the largest energy: what is less is drawn as that
+_HEAD, _GUTTER = 26, 12  # height of the legend above a plot, and space between maps
+_MAPS = 38  # vertical position of the maps, which are lower than a plot
+_DEEPEST = 1e-5  # share of the largest energy; lower energies are drawn at this value
 _SAID = {
     "raw+jpeg": {"before": "before", "after": "after", "floor": "floor"},
     "clean+noisy": {"real": "real", "before": "simulator before", "after": "after"},
@@ -26,11 +26,11 @@ _TEXT = {
 
 
 def spectra_part(kind: str, pictures: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The part of the page about `jaxisp.gap.features.spectra`; None without spectra.
+    """The section of the page that shows `jaxisp.gap.features.spectra`; None without spectra.
 
     Args:
-        kind: of the data.
-        pictures: as `jaxisp.gap.report.page.write_report` gets them.
+        kind: of the data: "raw+jpeg" or "clean+noisy".
+        pictures: as for `jaxisp.gap.report.page.write_report`.
     """
     found = {whose: pictures.get(f"spread_{whose}") for whose in _SAID[kind]}
     shown = {whose: own for whose, own in found.items() if own is not None}
@@ -60,12 +60,12 @@ def _correlation(kind: str, shown: Mapping[str, Any], of: str) -> dict[str, Any]
 def spectra_plot(
     curves: Mapping[str, tuple[np.ndarray, np.ndarray]], classes: Sequence[str], title: str
 ) -> str:
-    """An SVG of power spectra, logarithmic.
+    """An SVG of power spectra on a logarithmic scale.
 
     Args:
-        curves: by what is said of it, (F,) frequencies in cycles per pixel, 0 to 0.5, and (F,) energies.
-        classes: how each is drawn, see report.html.
-        title: read out.
+        curves: by label: (F,) frequencies in cycles per pixel, 0 to 0.5, and (F,) energies.
+        classes: CSS class of each curve, see report.html.
+        title: for screen readers.
     """
     highest = max((float(e.max()) for _, e in curves.values()), default=0.0) or 1.0
     least = highest * _DEEPEST
@@ -97,7 +97,7 @@ def spectra_plot(
 
 
 def _round_energies(lowest: float, highest: float) -> list[float]:
-    """Numbers to put beside a logarithmic axis: powers of ten, or the ends where there are fewer than two."""
+    """Ticks of a logarithmic axis: up to five powers of ten, or both ends if it spans fewer than two."""
     tens = [10.0**k for k in range(int(np.ceil(np.log10(lowest))), int(np.floor(np.log10(highest))) + 1)]
     return tens[:: -(-len(tens) // 5)] if len(tens) > 1 else [lowest, highest]
 
@@ -111,10 +111,10 @@ def _legend(names: Sequence[str], classes: Sequence[str]) -> str:
 
 
 def lag_maps(maps: Mapping[str, np.ndarray], title: str) -> str:
-    """An SVG of autocorrelations (S, S), their middle no lag, in the colours of one scale."""
+    """An SVG of autocorrelations (S, S) on a common colour scale; lag 0 is in the middle."""
     sides = [m.shape[0] for m in maps.values()]
     top = strongest(maps.values())
-    step = (WIDTH - _GUTTER) / 3  # as wide whether there are two or three
+    step = (WIDTH - _GUTTER) / 3  # the width is the same for two and for three maps
     unit = (step - _GUTTER) / max(sides)
     inside = ""
     for k, (name, values) in enumerate(maps.items()):
@@ -135,14 +135,14 @@ def lag_maps(maps: Mapping[str, np.ndarray], title: str) -> str:
 
 
 def strongest(maps: Iterable[np.ndarray]) -> float:
-    """The largest size of autocorrelations (S, S) beside that of a pixel with itself, 0.01 at least."""
+    """The largest absolute autocorrelation of maps (S, S) apart from lag 0; at least 0.01."""
     sizes = (np.abs(m).copy() for m in maps)
     beside = (np.delete(m.ravel(), m.size // 2).max() for m in sizes)
     return max([0.01, *map(float, beside)])
 
 
 def _scale(top: float, y: float) -> str:
-    """What the colours stand for."""
+    """The legend of the colour scale from -top to top, at height `y`."""
     width, left = 8, (WIDTH - 21 * 8) / 2
     squares = "".join(
         f'<rect x="{left + k * width:.0f}" y="{y:.0f}" width="{width}" height="9"{_shade(k / 10 - 1)}/>'
@@ -155,5 +155,5 @@ def _scale(top: float, y: float) -> str:
 
 
 def _shade(share: float) -> str:
-    """Attributes of what is coloured by -1 to 1."""
+    """SVG attributes of the colour of a value in [-1, 1]."""
     return f' class="{"fill" if share > 0 else "less"}" opacity="{min(abs(share), 1):.2f}"'

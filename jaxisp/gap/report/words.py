@@ -1,4 +1,4 @@
-"""How report.html writes names and numbers."""
+"""Names and numbers as report.html writes them."""
 
 import math
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ _FIXED = {
     "scene_light": "the scene's light again",
     "scene_matrix": "the scene's colour matrix",
 }
-"""What is not called by its own name with blanks: axes, effects, and nodes of the bases."""
+"""Names of axes, effects and base nodes that are not the identifier with blanks for underscores."""
 _PARTS = {
     "adc": "ADC", "cfa": "CFA", "color": "colour", "jpeg": "JPEG", "lut": "LUT", "oetf": "OETF",
     "srgb": "sRGB",
@@ -39,33 +39,37 @@ _PARTS = {
 
 
 def words(name: str) -> str:
-    """An axis, effect or stage as it is called in a sentence."""
+    """The name of an axis, effect or stage within a sentence."""
     return _FIXED.get(name) or " ".join(_PARTS.get(part, part) for part in str(name).split("_"))
 
 
 def begun(text: str) -> str:
-    """As a sentence begins; names like JPEG stay."""
+    """Capitalise the first letter; the other letters stay as they are."""
     return text[:1].upper() + text[1:]
 
 
 def any_of(names: Sequence[str]) -> str:
+    """Join the names of effects with "or"."""
     return " or ".join(map(words, names))
 
 
 def listed(texts: Sequence[str]) -> str:
-    """With commas, and "and" before the last."""
+    """Join texts with commas, and with "and" before the last."""
     return " and ".join(filter(None, (", ".join(texts[:-1]), *texts[-1:])))
 
 
 def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is 1."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def finite(value: Any) -> bool:
+    """Whether the value is a finite number."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
 
 
 def percent(share: Any) -> str:
+    """A share in per cent; "unknown" if it is not a finite number."""
     if not finite(share):
         return "unknown"
     value = 100 * float(share)
@@ -74,12 +78,12 @@ def percent(share: Any) -> str:
 
 
 def span(ci: Sequence[Any]) -> str:
-    """An interval of shares."""
+    """An interval [low, high] of shares, in per cent."""
     return "[" + ",\N{NO-BREAK SPACE}".join(percent(v).removesuffix(_PER_CENT) for v in ci) + "]"
 
 
 def number(value: Any) -> str:
-    """Three figures, without an exponent where that is short."""
+    """A number with three significant digits; without an exponent below one million."""
     if not finite(value):
         return "unknown"
     value = float(value)
@@ -87,4 +91,5 @@ def number(value: Any) -> str:
 
 
 def chance(p: Any) -> str:
+    """A p-value with its relation sign, such as "= 0.02"; "unknown" if it is not a finite number."""
     return "unknown" if not finite(p) else "< 0.001" if p < 0.001 else f"= {p:.2g}"

@@ -1,1 +1,1 @@
-"""Which effects cause the gap: screening, refits, verdict."""
+"""Search for the effects that cause the gap: screening, refits and verdict."""

@@ -1,7 +1,7 @@
-"""Whether the accepted causes account for the gap, or only look like what makes it.
+"""Test whether the accepted causes account for the gap or only imitate its true cause.
 
-An effect that the library lacks is imitated by those it has: they close the largest part of the gap, and
-leave or spoil the rest. So the axes of the gap before and after are compared.
+If the true cause is an out-of-library effect, effects of the library imitate it. They close the largest part
+of the gap and leave or worsen the rest. The test therefore compares the axes of the gap before and after.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,15 @@ from jaxisp.gap.simulator.effects import EFFECTS
 
 
 class Shown(NamedTuple):
-    """What shows of the gap at a point, on the held-out pairs.
+    """The gap at a point, by axis, on the held-out pairs.
 
     Attributes:
-        error: the mean square that the axes' shares are of.
-        rows: the axes, as verdicts are decided by them.
-        distance, noise: mean squares over pixels of what the real pictures are from the simulated ones on
-            average, and of the simulator's noise; 0 where pixels are what is compared.
-        where: the axes as they are reported: what stands in one place is on that axis alone.
+        error: mean square that the shares of the axes refer to.
+        rows: the axes, as used for the verdict.
+        distance: mean squared difference over pixels between the real pictures and the mean of the simulated
+            ones; 0 for RAW+JPEG pairs.
+        noise: mean square of the simulator's noise over pixels; 0 for RAW+JPEG pairs.
+        where: the axes as reported, with leaked shares of a fixed pattern moved to its own axis.
     """
 
     error: float
@@ -33,7 +34,7 @@ class Shown(NamedTuple):
 
 
 def shown(evidence: Evidence, point: Point) -> Shown:
-    """At a point."""
+    """Measure the gap at a point."""
     held, model = list(evidence.split.held_out), point.model
     error, (rows, where) = float(point.errors[held].mean()), evidence.located(point)
     distances, noise = evidence.distances(model, model.still(point.z)), evidence.scatter(model, point.z)
@@ -45,30 +46,33 @@ def shown(evidence: Evidence, point: Point) -> Shown:
 def accounted(
     criteria: Criteria, causes: Sequence[str], before: Shown, after: Shown, gap: Gap, left: float
 ) -> bool:
-    """Whether causes account for a gap.
+    """Whether the causes account for the gap.
 
     Args:
         criteria: of the kind of pairs.
         causes: names of effects.
-        before, after: what shows without and with them.
-        gap: before.
+        before: the gap by axis without them.
+        after: the gap by axis with them.
+        gap: the gap without them.
         left: the gap with them.
     """
     more, closed = (left - gap.floor) / gap.unit, (gap.before - left) / gap.scale
-    nearer = after.distance < (1 - criteria.farthest) * before.distance  # as no out-of-library effect brought
+    nearer = after.distance < (1 - criteria.farthest) * before.distance  # never seen for an imitation
     bars = criteria.accounted_nearer if nearer else criteria.accounted
     if any(more >= most and closed < least for most, least in bars):
         return False
     if kept_axes(criteria, causes, before, after, gap):
         return False
-    noise = max(before.noise, after.noise)  # the real one's, about: a base that lacks much has less, or more
+    noise = max(before.noise, after.noise)  # an estimate of the real noise, which a poor base may miss
     off, left_off = before.distance - noise, after.distance - noise
     return off <= criteria.clearly_off * noise or left_off <= criteria.still_off * off
 
 
 def kept_axes(criteria: Criteria, causes: Sequence[str], before: Shown, after: Shown, gap: Gap) -> list[str]:
-    """The axes that the gap lay on and still does, though no cause shows on them: the form of one that is not
-    quite right is left on its own."""
+    """Axes on which the gap was large and stays so, among those on which no cause acts.
+
+    The axes of the causes are exempt: a cause whose form is only approximately right leaves a gap there.
+    """
     own = {*criteria.formless, *(axis for name in causes for axis in EFFECTS[name].axes)}
     none = gap.floor if criteria.above_floor else 0.0
     first, last = (max(state.error - none, 0.0) for state in (before, after))

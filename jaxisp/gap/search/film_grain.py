@@ -1,9 +1,11 @@
-"""Film grain beside a RAW: noise that the RAW does not have, told by its energy where nothing else is.
+"""Film grain in RAW+JPEG pairs: noise of the JPEG that the RAW does not have, detected by its energy.
 
-No simulator predicts it pixel by pixel, so it lowers no squared error; what it can do is say how large
-the error must be. Its energy is read off flat areas, less what the picture's own detail predicts there (a
-denoiser's residual is the RAW's noise, grain's is not), less the floor, as a function of luma; and less the
-share of it that follows the picture's values: rounding to few levels, dithered or not, only looks random.
+No simulator predicts grain pixel by pixel, so adding it lowers no squared error. It does explain how large
+the error is. The energy of grain is measured in flat areas as a function of luma. Three parts are subtracted:
+
+- energy that the picture's own detail predicts: the residual of a denoiser follows the RAW's noise;
+- the floor of rounding and compression;
+- the share that is a function of the picture's values: rounding to few levels, dithered or not.
 """
 
 import dataclasses
@@ -19,23 +21,23 @@ from jaxisp.gap.objective.pixels import tiled
 from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.search.trial import Bars, Cause, Trial
 
-_FLAT = 0.35  # share of the pixels that counts as flat
+_FLAT = 0.35  # share of the pixels that count as flat
 _BINS = 8
-_FEW = 200  # flat pixels of a bin
+_FEW = 200  # least number of flat pixels in a bin
 _HUES, _DEPTHS = 6, (0.33, 0.67, 0.9)
-_GRID = 8  # px: dither patterns are of 8x8 or less
+_GRID = 8  # px; dither patterns have 8x8 pixels or fewer
 
 
 @dataclasses.dataclass(frozen=True)
 class Residual:
-    """What grain is looked for in.
+    """The pictures that grain is measured in.
 
     Attributes:
-        target: (N, h, w, 3) the wanted pictures, Y'CbCr in 8-bit steps.
-        current: (N, h, w, 3) the simulator's.
-        counted: (N, h, w) what a pixel counts.
-        counts: (N,) the sums of that.
-        split: grain is measured on the fitted pairs, and closes on the others.
+        target: (N, h, w, 3) the camera's pictures, Y'CbCr in 8-bit steps.
+        current: (N, h, w, 3) the simulator's pictures, likewise.
+        counted: (N, h, w) weight of each pixel.
+        counts: (N,) sums of `counted`.
+        split: grain is measured on the fitted pairs; its closure is measured on the held-out pairs.
     """
 
     target: np.ndarray
@@ -46,14 +48,14 @@ class Residual:
 
 
 def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, least: float) -> Trial:
-    """How much of the gap film grain accounts for.
+    """Measure the share of the gap that film grain accounts for.
 
     Args:
-        seen: the pictures, the simulator's where its causes have taken it.
-        floor: (N, h, w, 3) what rounding and the file's compression do, in steps.
-        z: where the simulator is; grain moves nothing.
-        scale: of the gap.
-        least: share of it that the lower end of the interval must be above.
+        seen: the pictures; those of the simulator include the causes found so far.
+        floor: (N, h, w, 3) error of rounding and of the file's compression, Y'CbCr in 8-bit steps.
+        z: coordinates of the simulator, which grain leaves unchanged.
+        scale: the gap above the floor.
+        least: share of `scale` that the lower end of the interval must exceed.
     """
     held = list(seen.split.held_out)
     residual, flat = seen.target - seen.current, _flat(seen)
@@ -75,9 +77,10 @@ def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, 
 
 
 def with_grain(causes: Sequence[Cause], grain: Trial, floor: float, criteria: Criteria) -> list[Cause]:
-    """The causes with film grain where its closure belongs: its drop adds to the others'.
+    """Add film grain to the causes if it is large enough, in the order of decreasing closure.
 
-    What another effect leaves in flat areas is less than a leading cause, and than half of what is left.
+    The remainder of another effect in flat areas is smaller than a leading cause, and smaller than half of
+    the remaining gap.
     """
     drop = grain.gain
     little = grain.closed < criteria.leading or drop < criteria.grain_of_rest * (grain.before - floor)
@@ -93,16 +96,17 @@ def with_grain(causes: Sequence[Cause], grain: Trial, floor: float, criteria: Cr
 
 
 def _flat(seen: Residual) -> np.ndarray:
-    """(N, h, w) where the simulator's picture hardly changes."""
+    """Mask (N, h, w) of the areas where the simulator's picture is flat."""
     slope = gaussian_gradient_magnitude(seen.current[..., 0], (0, 1.5, 1.5))
     counts = seen.counted > 0
     return np.asarray((slope < np.quantile(slope[counts], _FLAT)) & counts)
 
 
 def _unpredicted(seen: Residual, residual: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """(N, h, w) energy of the residual's detail less what the picture's own predicts of it, colour by colour.
+    """Energy (N, h, w) of the residual's detail that the picture's own detail does not predict.
 
-    What is smooth in flat areas is an error of colour, not grain.
+    The prediction is fitted separately for each colour. Only detail counts: a smooth residual in flat areas
+    is an error of colour.
     """
     details = np.concatenate([_detail(seen.current, sigma) for sigma in (1.0, 3.0)], -1)
     learnt = _of(flat, seen.split.fit)
@@ -117,7 +121,7 @@ def _unpredicted(seen: Residual, residual: np.ndarray, flat: np.ndarray) -> np.n
 
 
 def _colors(picture: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """(N, h, w) the number of a pixel's colour: grey, or one of six hues, pale, full or deep."""
+    """Colour class (N, h, w) of each pixel: grey, or one of six hues in three degrees of saturation."""
     cb, cr = picture[..., 1], picture[..., 2]
     chroma = np.hypot(cb, cr)
     depth = np.searchsorted(np.quantile(chroma[flat], _DEPTHS), chroma)
@@ -126,10 +130,10 @@ def _colors(picture: np.ndarray, flat: np.ndarray) -> np.ndarray:
 
 
 def _follows_values(seen: Residual, residual: np.ndarray, floor: np.ndarray, flat: np.ndarray) -> float:
-    """The share of the residual's detail in flat areas that is one function of R, G or B and of the place in
-    a grid of 8x8 px.
+    """Share in [0, 1] of the residual's detail that depends on R, G or B and the position in an 8x8 grid.
 
-    What the function is on the fitted pairs is multiplied by what it is on the others: chance cancels.
+    The function is estimated on the fitted and on the held-out pairs. The product of both estimates is free
+    of the bias by chance.
     """
     values = _to_rgb(seen.current)
     fine, bottom = (_to_rgb(_detail(d, 3.0)) for d in (residual, floor))
@@ -150,7 +154,7 @@ def _follows_values(seen: Residual, residual: np.ndarray, floor: np.ndarray, fla
 
 
 def _of(flat: np.ndarray, which: Sequence[int]) -> np.ndarray:
-    """(N, h, w) the flat areas of these pairs alone."""
+    """Restrict the flat areas (N, h, w) to these pairs."""
     return np.asarray(np.isin(np.arange(len(flat)), which)[:, None, None] & flat)
 
 
@@ -163,7 +167,7 @@ def _detail(picture: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _by_luma(luma: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]) -> np.ndarray:
-    """(N, h, w) the mean energy of flat areas of that luma, at least 0."""
+    """Mean energy (N, h, w) of flat areas at each pixel's luma, at least 0."""
     learnt = _of(flat, fit_on)
     values, seen = energy[learnt], luma[learnt]
     edges = np.quantile(seen, np.linspace(0, 1, _BINS + 1))

@@ -1,4 +1,4 @@
-"""One effect fitted together with the base, and what it closes on pairs that were not fitted."""
+"""Refit of one effect together with the base, and its closure on the held-out pairs."""
 
 from collections.abc import Sequence
 
@@ -15,11 +15,11 @@ from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.gap.simulator.model import Model
 from jaxisp.gap.simulator.noise import Ladders, informed_by_noise, noisier, placed, starts
 
-_ROUNDING = 1 / 12  # of 8 bits, which pictures without noise have left
+_ROUNDING = 1 / 12  # squared 8-bit steps, variance of rounding
 
 
 def switched_on(point: Point) -> list[int]:
-    """Coordinates of effects that were accepted already and stay free."""
+    """Indices of the coordinates of accepted effects, which stay free."""
     first = len(point.model.base)
     return [i for i in range(first, len(point.z)) if point.z[i] != 0]
 
@@ -36,18 +36,19 @@ def refit(
     begin: np.ndarray | None = None,
     form: np.ndarray | None = None,
 ) -> Trial:
-    """Fit an effect and the base together on the fitted pairs, and measure the closure on the others.
+    """Fit an effect and the base together on the fitted pairs, and measure the closure on the held-out pairs.
 
     Args:
         evidence: of all pairs.
-        point: without the effect, with the columns that the fit starts with.
+        point: without the effect, with the columns for the first step of the fit.
         effect: its name.
         whole: the gap before any effect.
-        bars: what the trial is judged by.
-        criteria: likewise.
-        steps: of the fit, at most.
-        begin: where the fit starts, what is searched for being found there; None: it is looked for.
-        form: of `nearest_form`; what moves freely from there must be better by a tenth.
+        bars: bars of the trial.
+        criteria: thresholds of the trial.
+        steps: largest number of steps of the fit.
+        begin: start of the fit, with grid coordinates already found; None: they are searched for.
+        form: result of `nearest_form`. A free fit from there must lower the error by
+            `Criteria.between_forms` to be kept.
     """
     own = point.model.indices([effect])
     moving = [*point.model.base_indices, *switched_on(point), *own]
@@ -66,7 +67,7 @@ def refit(
         smooth = [i for i in moving if i not in searched(at.model, [effect])]
         at = fit(part, chosen, smooth, steps=2).point
     held, there = evidence.held_out(point)
-    # pixels cannot judge a pattern whose place is drawn
+    # pixels cannot judge a pattern at a random place
     told = effect not in EFFECTS or not EFFECTS[effect].random
     before, far = held.units(there), distance(held, there.model, there.z) if told else 0.0
     harmless = before
@@ -74,7 +75,7 @@ def refit(
         harmless = held.units(held.at(there.model, _harmless(evidence, point, own, moving)))
     if choice is not None:
         there = held.at(there.model.chosen(held.choices[choice]), there.z)
-        alone = held.units(there)  # what the choice does without the effect is not the effect's
+        alone = held.units(there)  # the gain of the choice without the effect does not count
         harmless = alone if np.nanmean(alone) < np.nanmean(harmless) else harmless
     drop = harmless - held.units(held.at(there.model, at.z))
     lost = float(np.nanmean(drop))
@@ -95,24 +96,24 @@ def refit(
 
 
 def clustered(evidence: Evidence, values: np.ndarray) -> np.ndarray:
-    """(scenes, U) values (N, U) of the held-out pairs, for intervals over what is independent."""
+    """Group values (N, U) of the held-out pairs by scene, (scenes, U): only scenes are independent."""
     return by_scene(values, [evidence.names[i] for i in evidence.split.held_out])
 
 
 def distance(held: Evidence, model: Model, z: np.ndarray) -> float:
-    """The mean square distance of these pixels at a point; 0 where pixels are what is compared."""
+    """Mean squared distance over pixels at a point; 0 for RAW+JPEG pairs."""
     found = held.distances(model, z)
     return 0.0 if found is None else float(found.mean())
 
 
 def _noise(held: Evidence, model: Model, *points: np.ndarray) -> float:
-    """The mean square of the noise, the larger of these points': a base that lacks much may have less."""
+    """Mean square of the noise, the largest of these points; a poor base may have too little noise."""
     found = [held.scatter(model, z) for z in points]
     return max((float(noise.mean()) for noise in found if noise is not None), default=0.0)
 
 
 def _harmless(evidence: Evidence, point: Point, own: Sequence[int], moving: Sequence[int]) -> np.ndarray:
-    """Where an effect does what the file does anyway, the base fitted beside it."""
+    """The point at which an effect only repeats the file's own compression, with the base fitted to it."""
     part, start = evidence.fitted(point)
     z = point.z.copy()
     for i in set(own) & set(evidence.references):
@@ -128,7 +129,7 @@ def _fit_with(
     steps: int,
     form: np.ndarray | None = None,
 ) -> Point:
-    """Fit, the effect's own columns anew at each step; what does not act smoothly is searched for."""
+    """Fit, with the effect's columns renewed at each step; coordinates on a grid are searched."""
     model = at.model
     gridded = [i for i in own if model.coordinates[i].move.grid]
     afar = _from_afar(part, at, own) if form is None else at.z
@@ -145,12 +146,12 @@ def _fit_with(
     smooth = [i for i in moving if i not in gridded]
     noise = informed_by_noise(model)
     fresh = [i for i in smooth if i in own or i in noise]
-    if begun or gridded:  # the columns of these are another point's
+    if begun or gridded:  # the columns were computed at another point
         columns = {i: column for i, column in columns.items() if i not in fresh}
     at = fit(part, at.with_columns(columns), smooth, steps=steps, fresh=fresh).point
 
     def moved_to(at: Point, z: np.ndarray) -> Point:
-        """The rest has been fitted for the place before."""
+        """Move to z and refit the smooth coordinates."""
         if (z == at.z).all():
             return at
         return fit(part, part.at(model, z).with_columns(columns), smooth, steps=2, fresh=fresh).point
@@ -164,11 +165,14 @@ def _fit_with(
 
 
 def nearest_form(evidence: Evidence, point: Point, effect: str, criteria: Criteria) -> np.ndarray | None:
-    """Of an effect whose forms are exact the one that leaves the least error once the base is fitted beside
-    it, where that ends; None of other effects, or where the base alone does as well.
+    """The best exact form of an effect, with the base refitted for each form.
 
-    The base has imitated what a form does, so that the right one may look worse at first, and numbers that
-    move freely from there end between two, which other scenes do not bear out.
+    The base has imitated the effect, so the right form may raise the error until the base is refitted. A free
+    fit would then end between two forms, and such a fit does not generalise to other scenes.
+
+    Returns:
+        coordinates (Z,) of the best fit; None if the effect has no exact forms, or if the base alone fits as
+        well.
     """
     own = point.model.indices([effect]) if effect in EFFECTS and EFFECTS[effect].exact else []
     forms = starts(point.model, point.z, own) if own else []
@@ -190,7 +194,7 @@ def nearest_form(evidence: Evidence, point: Point, effect: str, criteria: Criter
 
 
 def _climbed(ladders: Ladders, part: Objective, model: Model) -> Point:
-    """The point that leaves the least error, each ladder climbed as long as that falls."""
+    """The point of least error; each ladder is climbed as long as the error falls."""
 
     def climb(ladder: list[np.ndarray]) -> tuple[float, np.ndarray]:
         least, best = np.inf, ladder[0]
@@ -205,13 +209,13 @@ def _climbed(ladders: Ladders, part: Objective, model: Model) -> Point:
 
 
 def _best_of(points: Sequence[np.ndarray], part: Objective, model: Model) -> np.ndarray:
-    """The point that leaves the least error."""
+    """The coordinates (Z,) of least error among `points`."""
     errors = parallel_map(lambda z: part.at(model, z).error, points)
     return points[int(np.argmin(errors))]
 
 
 def _from_afar(part: Objective, at: Point, own: Sequence[int]) -> np.ndarray:
-    """The point itself, or one that an effect far from its small probe starts from, where that is better."""
+    """The point with the better start: as it is, or with the effect far from its small probe."""
     z, model = at.z, at.model
     for i in own:
         points = [z, *(placed(model, z, i, z[i] + v) for v in model.coordinates[i].move.far)]
@@ -220,7 +224,7 @@ def _from_afar(part: Objective, at: Point, own: Sequence[int]) -> np.ndarray:
 
 
 def distant(evidence: Objective, point: Point, names: Sequence[str]) -> dict[int, float]:
-    """By coordinate of these effects the change out of `Move.far` that lowers the error most, if one does."""
+    """By coordinate of these effects: the change in `Move.far` that lowers the error most, if one does."""
     model, found = point.model, {}
     for i in model.indices(names):
         tried = model.coordinates[i].move.far
@@ -232,19 +236,19 @@ def distant(evidence: Objective, point: Point, names: Sequence[str]) -> dict[int
 
 
 def searched(model: Model, names: Sequence[str]) -> list[int]:
-    """Coordinates of these effects that are searched for on a grid."""
+    """Indices of the coordinates of these effects that are searched on a grid."""
     return [i for i in model.indices(names) if model.coordinates[i].move.grid]
 
 
 def lowest(evidence: Objective, point: Point, i: int) -> float:
-    """Which change of the grid leaves the least error."""
+    """The change on the grid of coordinate `i` with the least error."""
     model, grid = point.model, point.model.coordinates[i].move.grid
     errors = parallel_map(lambda v: evidence.at(model, placed(model, point.z, i, v)).error, grid)
     return grid[int(np.argmin(errors))]
 
 
 def _nearby(part: Objective, at: Point, i: int, share: float) -> np.ndarray:
-    """The best of the point itself and those a share of the grid's spacing to both sides."""
+    """The best of the point and its neighbours, at a share of the grid's spacing to both sides."""
     model = at.model
     grid = np.array(model.coordinates[i].move.grid)
     spacing = np.sort(np.abs(grid - at.z[i]))[1] * share
@@ -253,7 +257,7 @@ def _nearby(part: Objective, at: Point, i: int, share: float) -> np.ndarray:
 
 
 def _finely(part: Objective, at: Point, i: int) -> np.ndarray:
-    """The best point as near as the search has come so far, in the steps that the move asks for."""
+    """The best point in the range that the search has narrowed down, at the resolution of the move."""
     model, move, z = at.model, at.model.coordinates[i].move, at.z[i]
     reach = np.sort(np.abs(np.array(move.grid) - z))[1] / 4
     tried = np.clip(z + np.arange(-reach, reach, move.fine), *model.ranges[:, i])
@@ -261,9 +265,9 @@ def _finely(part: Objective, at: Point, i: int) -> np.ndarray:
 
 
 def _choose_again(part: Evidence, at: Point, criteria: Criteria) -> int | None:
-    """The number of the choice that fits best beside the effect, where it is another than the base's.
+    """The index of the demosaicker that fits best together with the effect; None if the base has it already.
 
-    Without its effect a camera is explained best by the demosaicker whose flaws look most like the effect.
+    Without the effect, the best demosaicker is the one whose errors look most like the effect.
     """
     least, best = at.error * criteria.chosen_anew, None
     for k, choice in enumerate(part.choices):

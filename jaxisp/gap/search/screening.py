@@ -1,4 +1,4 @@
-"""Which effect may cause the gap: all screened by secants, and the best of those that were refitted."""
+"""Screening of all effects by secants, and selection of the best refitted effect."""
 
 from collections.abc import Sequence
 
@@ -13,14 +13,16 @@ from jaxisp.gap.search.trial import Trial
 from jaxisp.gap.simulator.effects import EFFECTS
 
 _ALONG = (1.0, 0.5, 0.25)
-"""How much of a step is tried."""
+"""Shares of a step that are tried."""
 
 
 def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict[str, float], Point]:
-    """The predicted drop of the held-out error with each effect, beyond the base's own, by linear prediction;
-    and the point with the columns that this took.
+    """Predict linearly how far each effect lowers the held-out error, beyond a step of the base alone.
 
-    Both halves are predicted from each other, which halves the chance of a lucky split.
+    Each half of the pairs is predicted from the other half, which makes a lucky split less likely.
+
+    Returns:
+        the predicted drop by effect; the point with the columns computed for it.
     """
     model, split = point.model, evidence.split
     base = model.base_indices + switched_on(point)
@@ -48,11 +50,12 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
 
 
 def hidden(objective: Objective, point: Point, names: Sequence[str], least: float) -> list[str]:
-    """Effects that these pairs cannot show: half of their range changes them by less than `least`, a mean
-    square, beyond what the base imitates. Grey scenes cannot show saturation, for example.
+    """Effects that these pairs cannot show; grey scenes, for example, cannot show saturation.
 
-    Needs the columns of `screen`. An effect that is searched for on a grid has no such change, and is never
-    listed.
+    Half the range of such an effect changes the pairs by less than `least`, a mean square. Changes that the
+    base can imitate do not count.
+
+    The point needs the columns of `screen`. Effects that are searched on a grid are never listed.
     """
     model = point.model
     order = {i: k for k, i in enumerate(sorted(point.columns))}
@@ -72,7 +75,7 @@ def hidden(objective: Objective, point: Point, names: Sequence[str], least: floa
 
 
 def _step(point: Point, which: Sequence[int], normal: NormalEquations, learn: Sequence[int]) -> np.ndarray:
-    """(K,) the move of these coordinates that some pairs ask for."""
+    """The Gauss-Newton step (K,) of these coordinates, fitted to the pairs `learn`."""
     which, learn = list(which), list(learn)
     believed = modest(point, which, float(point.errors[learn].mean()))
     return solve(
@@ -83,7 +86,7 @@ def _step(point: Point, which: Sequence[int], normal: NormalEquations, learn: Se
 
 
 def _anyway(evidence: Evidence, point: Point, name: str) -> float:
-    """How much the error falls where an effect does no more than what the file does anyway."""
+    """The drop of the error if an effect only repeats the file's own compression."""
     z = point.z.copy()
     for i in set(point.model.indices([name])) & set(evidence.references):
         z[i] = evidence.references[i]
@@ -93,9 +96,11 @@ def _anyway(evidence: Evidence, point: Point, name: str) -> float:
 
 
 def predicted(evidence: Evidence, point: Point, effect: str) -> float:
-    """The drop of the held-out error with an effect and the base one step on, as `screen` sees that step from
-    the fitted pairs: as much of it as is best there. Statistics follow most effects in curves, for
-    which a straight line predicts too little."""
+    """The drop of the held-out error after one step of an effect and the base.
+
+    The step and its length are chosen on the fitted pairs, and the model is evaluated at its end. Statistics
+    depend on most effects nonlinearly, so that a linear prediction is too small for them.
+    """
     model, split = point.model, evidence.split
     which = [*model.base_indices, *switched_on(point), *model.indices([effect])]
     move = _step(point, which, evidence.normal(point, which), split.fit)
@@ -112,15 +117,18 @@ def predicted(evidence: Evidence, point: Point, effect: str) -> float:
 def best(
     trials: Sequence[Trial], criteria: Criteria, seen: Sequence[str] = (), remaining: float = 1.0
 ) -> Trial | None:
-    """The accepted trial that closes most, or of those that close about as much or are nearer by far the one
-    whose pictures are clearly nearest; one that another can imitate in full is preferred to it.
+    """Select the best accepted trial; None if no trial is accepted.
+
+    The trial that closes most is the first choice. Trials that close about as much, or are much closer in
+    pixels, are rivals. A rival that is clearly closer in pixels wins. A simpler effect, or one that the
+    winner contains, is preferred to it if it closes nearly as much.
 
     Args:
         trials: of one step.
-        criteria: what they are judged by.
-        seen: effects that the files themselves show: what others close may be theirs, so that they come
-            first where they could lead.
-        remaining: the share of the gap that earlier causes leave.
+        criteria: thresholds of the trials.
+        seen: effects that the files themselves show. They come first if they could lead, since other effects
+            may imitate them.
+        remaining: share of the gap that earlier causes leave.
     """
     accepted = sorted((t for t in trials if t.accepted(criteria)), key=lambda t: -t.closed)
     if not accepted:
@@ -140,21 +148,24 @@ def best(
 
 
 def _rivals(other: Trial, most: Trial, remaining: float, criteria: Criteria) -> bool:
-    """Whether an effect closes about as much as what closes most, or could lead what is left and is so much
-    nearer in pixels as one that is as much farther would be refused for."""
+    """Whether an effect rivals the one that closes most.
+
+    It does if it closes about as much. It also does if it could lead the remaining gap and is closer in
+    pixels by more than `Criteria.farthest`.
+    """
     nearer = closer_in_pixels(other, most, criteria) and other.farther < most.farther - criteria.farthest
     leads = other.closed >= criteria.leading * remaining and nearer
     return other.closed > criteria.as_much * most.closed or leads
 
 
 def _nearest(trials: Sequence[Trial], criteria: Criteria) -> Trial:
-    """The first of these, or the one whose pixels are nearer to the real ones by more than chance."""
+    """The first trial, or the one closest in pixels if it is clearly closer."""
     near = min(trials, key=lambda t: t.farther)
     return near if closer_in_pixels(near, trials[0], criteria) else trials[0]
 
 
 def closer_in_pixels(one: Trial, other: Trial, criteria: Criteria) -> bool:
-    """Whether the one's pictures are clearly nearer than the other's, where no noise is at stake."""
+    """Whether `one` brings the pictures clearly closer than `other`; False if either effect is random."""
     random = any(EFFECTS[t.effect].random for t in (one, other))
     return not random and one.farther < other.farther - criteria.nearer
 
@@ -162,15 +173,15 @@ def closer_in_pixels(one: Trial, other: Trial, criteria: Criteria) -> bool:
 def lookalikes(
     winner: Trial, trials: Sequence[Trial], criteria: Criteria, apart: float = np.inf
 ) -> list[str]:
-    """Effects whose closure these pairs cannot tell from the winner's.
+    """Effects whose closure these pairs cannot distinguish from the winner's.
 
     Args:
         winner: the best of the trials.
         trials: of one step.
-        criteria: what they are judged by.
-        apart: shares that differ by more are told apart, unless the winner's own interval says otherwise, or
-            the two are known to be easily taken for one another and the other leaves less than twice as much:
-            what they leave then is not theirs alone, and grows with the gap.
+        criteria: thresholds of the trials.
+        apart: difference of shares from which two effects count as distinct. It is raised to half the width
+            of the winner's interval. It is also raised for known alternatives, unless the other effect leaves
+            `Criteria.left_alike` times as much.
     """
     wide, interval = (1 - criteria.as_much) * winner.closed, 0.5 * (winner.high - winner.low)
 
@@ -185,15 +196,16 @@ def lookalikes(
 
 
 def of_form(effect: str, causes: Sequence[Trial], criteria: Criteria) -> float:
-    """The share of the gap that an effect may close where one of the causes, for which it is easily taken, is
-    there in a form that is not quite right."""
+    """The share of the gap that an effect may close by correcting the form of a cause that it resembles."""
     own = [(1 - criteria.as_much) * t.closed for t in causes if _alike(t.effect, effect)]
     return max(own, default=0.0)
 
 
 def like_the_nearest(trials: Sequence[Trial], others: Sequence[str], criteria: Criteria) -> list[str]:
-    """What the effect that closes most may have been taken for, where that could lead: one move from nothing,
-    which is what screening sees, does not predict what the whole of an effect does."""
+    """Those of the other effects that are alternatives of the trial that closes most, if it could lead.
+
+    Screening sees only a small step of an effect, which does not predict the full effect.
+    """
     nearest = max(trials, key=lambda t: t.closed)
     alike = EFFECTS[nearest.effect].alternatives if nearest.closed >= criteria.leading else ()
     return [name for name in others if name in alike]

@@ -1,4 +1,4 @@
-"""Which effects cause the gap, one after the other: refitted, accepted where they hold on other scenes."""
+"""Stepwise search: effects are refitted one after another and accepted if they generalise to other scenes."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -28,21 +28,21 @@ Forms = dict[str, np.ndarray]
 
 
 class Terms(NamedTuple):
-    """When an effect counts in this gap, and when it is enough; shares are of the gap.
+    """Conditions for accepting effects and for stopping the search; shares are of the gap.
 
     Attributes:
         criteria: of the kind of pairs.
         whole: the gap.
-        least: share that the lower end of an effect's interval must be above.
-        most: how many are accepted at most.
-        leading: share that the first must close.
-        enough: share left, below which no other effect is looked for.
-        apart: of `lookalikes`.
-        seen: effects that the files themselves show; they are refitted whatever screening predicts.
-        plainly: as `least`, of a later effect that pixels show by themselves: beside a large gap another may
-            be a small part of it.
-        visible: of `hidden`.
-        bars: as `least`, of effects that must close more than others.
+        least: share that the lower end of an effect's interval must exceed.
+        most: largest number of accepted effects.
+        leading: share that the first effect must close.
+        enough: remaining share below which the search stops.
+        apart: argument of `lookalikes`.
+        seen: effects that the files themselves show; they are always refitted.
+        plainly: as `least`, for later effects that pixels show on their own; these may be small parts of a
+            large gap.
+        visible: argument `least` of `hidden`.
+        bars: as `least`, for effects with a bar of their own.
     """
 
     criteria: Criteria
@@ -59,12 +59,12 @@ class Terms(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """What a search has found.
+    """Result of the stepwise search.
 
     Attributes:
-        causes: the accepted trials with those like them, in order.
-        trials: those of the first step.
-        predicted: the drop that was predicted of each effect there.
+        causes: accepted trials with their look-alikes, in order of acceptance.
+        trials: trials of the first step, by effect.
+        predicted: predicted drop of the error at the first step, by effect.
         hidden: effects that these pairs cannot show.
     """
 
@@ -75,8 +75,11 @@ class Searched(NamedTuple):
 
 
 def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms, tick: Tick) -> Searched:
-    """Forward steps: the best effect is added and fitted, and all others are tried again. Then one back: drop
-    effects whose contribution the others can absorb."""
+    """Forward selection, then one backward pass.
+
+    Each forward step adds the best effect and tries the others again. The backward pass drops effects whose
+    contribution the others can absorb.
+    """
     if not (terms.most and names):
         drops, screened = screen(evidence, start, names)
         return Searched([], {}, drops, hidden(evidence, screened, names, terms.visible))
@@ -120,7 +123,7 @@ def _remaining(causes: Sequence[Trial]) -> float:
 
 
 def ended(evidence: Evidence, point: Point, *trials: Trial) -> Point:
-    """Where these trials, one after the other, have taken a point."""
+    """The point after these trials, applied in order."""
     model, z = point.model, point.z
     for trial in trials:
         model = model if trial.choice is None else model.chosen(trial.choice)
@@ -129,8 +132,12 @@ def ended(evidence: Evidence, point: Point, *trials: Trial) -> Point:
 
 
 class _View(NamedTuple):
-    """Where effects are looked at: a point, and by how much more (N,) it leaves than the one at hand, None
-    for that itself."""
+    """A point from which effects are predicted.
+
+    Attributes:
+        point: the point.
+        more: (N,) its error minus the error of the current point; None for the current point.
+    """
 
     point: Point
     more: np.ndarray | None = None
@@ -144,8 +151,11 @@ def _tried(
     terms: Terms,
     tick: Tick,
 ) -> tuple[list[Trial], dict[str, float], Point]:
-    """One step: the effects left whose predicted drop beside the causes is largest, refitted; the predicted
-    drop of all of them; and the point with its columns."""
+    """One forward step: predict the drop of each remaining effect and refit the most promising ones.
+
+    Returns:
+        the trials; the predicted drop by effect; the point with its columns.
+    """
     step, split, criteria = len(causes), evidence.split, terms.criteria
     every = (*split.fit, *split.held_out)
     tick(step, terms.most, "screening effects")
@@ -178,14 +188,15 @@ def _tried(
 def _again(
     evidence: Evidence, point: Point, first: np.ndarray, trials: Sequence[Trial], terms: Terms
 ) -> list[Trial]:
-    """The trials, the two that matter fitted once more, all columns anew: from where they ended, and from
-    there with the base as it was at first. What leaves the least on the fitted pairs stays.
+    """Refit the two most important trials with new columns, and keep the better fit of each.
 
-    These are the one that closes most, and the one that pixels show best or else closes second most.
+    They are the trial that closes most, and the one that pixels show best or that closes second most. Each is
+    refitted from its end, and from its end with the original base. The fit with the least error on the fitted
+    pairs is kept.
     """
     criteria, base = terms.criteria, point.model.base_indices
     ranked = sorted(trials, key=lambda t: -t.closed)
-    ranked = [t for t in ranked if t.choice is None]  # another demosaicker's base was fitted anew with it
+    ranked = [t for t in ranked if t.choice is None]  # with a new demosaicker, the base was already refitted
     nearer = [t for t in ranked[1:] if closer_in_pixels(t, ranked[0], criteria)]
     second = [min(nearer, key=lambda t: t.farther)] if nearer else ranked[1:2]
     begun = []
@@ -203,7 +214,7 @@ def _again(
 
 
 def _views(evidence: Evidence, point: Point) -> list[_View]:
-    """The point; and if the base has a rival, that with the base fitted beside it."""
+    """The current point and, if the base has a rival demosaicker, the point with that, its base refitted."""
     if evidence.rival is None:
         return [_View(point)]
     other = evidence.at(point.model.chosen(evidence.rival), point.z)
@@ -216,7 +227,7 @@ def _views(evidence: Evidence, point: Point) -> list[_View]:
 def _most(
     views: Sequence[_View], found: Sequence[Mapping[str, float]], which: Sequence[int]
 ) -> dict[str, float]:
-    """The drop of each effect in the view where it is largest, of the error of the point at hand."""
+    """The largest drop of each effect over the views, relative to the error of the current point."""
     less = [0.0 if view.more is None else float(view.more[list(which)].mean()) for view in views]
     return {name: max(own[name] - more for own, more in zip(found, less)) for name in found[0]}
 
@@ -224,7 +235,7 @@ def _most(
 def _predicted(
     evidence: Evidence, views: Sequence[_View], names: Sequence[str], forms: Forms
 ) -> dict[str, float]:
-    """What is said beforehand of these effects' drop on the held-out pairs: where a form ends, or a step."""
+    """The predicted drop of each effect on the held-out pairs: at its fitted form, or after one step."""
     held = evidence.split.held_out
     steps = [{name: predicted(evidence, view.point, name) for name in names} for view in views]
     at_forms = {name: _drop(evidence, views[0].point, z, held) for name, z in forms.items()}
@@ -232,7 +243,7 @@ def _predicted(
 
 
 def _forms(evidence: Evidence, point: Point, names: Sequence[str], criteria: Criteria) -> Forms:
-    """Where effects of exact forms begin: a small step of theirs predicts nothing."""
+    """Start points of effects with exact forms, by effect: a small step does not predict their drop."""
     found = {name: nearest_form(evidence, point, name, criteria) for name in names}
     return {name: z for name, z in found.items() if z is not None}
 
@@ -242,9 +253,11 @@ def _drop(evidence: Evidence, point: Point, z: np.ndarray, which: Sequence[int])
 
 
 def _needed(evidence: Evidence, start: Point, trials: Sequence[Trial], terms: Terms) -> Sequence[Trial]:
-    """These trials, or fewer that close as much but for what nulls have, and leave pixels as near: those
-    before the last that the files do not show are left out, one after the other, the rest fitted from where
-    all of them ended."""
+    """Backward pass: drop trials whose contribution the others can absorb.
+
+    Each trial is left out in turn, except the last and those that the files show. The others are refitted
+    from the common end. The trial is dropped if the gap rises by a harmless amount and pixels stay as close.
+    """
     end, near = trials[-1], _apart(evidence, ended(evidence, start, *trials))
     for left_out in (t for t in trials[:-1] if t.effect not in terms.seen):
         rest = [t.effect for t in trials if t is not left_out]
@@ -257,7 +270,7 @@ def _needed(evidence: Evidence, start: Point, trials: Sequence[Trial], terms: Te
 
 
 def _apart(evidence: Evidence, point: Point) -> float:
-    """How far the held-out pixels are at a point, at what is still in that."""
+    """Distance of the held-out pixels at a point, with its random effects off."""
     return distance(evidence.held_out(point)[0], point.model, point.model.still(point.z))
 
 
@@ -270,8 +283,11 @@ def replayed(
     least: float,
     criteria: Criteria,
 ) -> tuple[list[Trial], Point]:
-    """Trials of these effects one after the other from the start, each begun from what it ended with; and
-    where they end."""
+    """Refit these effects in order from the start, each from its coordinates in `end`.
+
+    Returns:
+        the trials; the final point.
+    """
     at, model = start, start.model
     found: list[Trial] = []
     for k, name in enumerate(names):

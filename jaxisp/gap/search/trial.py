@@ -1,4 +1,4 @@
-"""An effect refitted with the base: where it ended, what it closes, and whether that is accepted."""
+"""Trials: an effect refitted with the base, its closure, and the rules for accepting it."""
 
 import dataclasses
 
@@ -10,8 +10,12 @@ from jaxisp.gap.simulator.model import Variant
 
 @dataclasses.dataclass(frozen=True)
 class Whole:
-    """The gap above the floor that closure is a share of: its size, and the part (N, U) of each held-out
-    pair's units, clustered as their drops are."""
+    """The gap above the floor; closures are shares of it.
+
+    Attributes:
+        size: the gap above the floor.
+        parts: (scenes, U) its parts by scene and unit of the held-out pairs, grouped as the drops are.
+    """
 
     size: float
     parts: np.ndarray
@@ -19,11 +23,11 @@ class Whole:
 
 @dataclasses.dataclass(frozen=True)
 class Bars:
-    """What a trial is judged by beside the criteria.
+    """Thresholds of a trial that depend on the gap, in addition to the criteria.
 
     Attributes:
-        least: share of the gap that the lower end of the interval must be above.
-        plainly: likewise, where pixels show the effect by themselves.
+        least: share of the gap that the lower end of the interval must exceed.
+        plainly: likewise, for an effect that pixels show on their own.
         rest: share of the gap that earlier causes leave.
     """
 
@@ -34,22 +38,24 @@ class Bars:
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """An effect refitted with the base: where it ended, and the share of the gap it closes there.
+    """An effect refitted with the base.
 
     Attributes:
         effect: its name.
-        z: where the fit ended.
-        before, after: the held-out gap without and with it.
+        z: coordinates at the end of the fit.
+        before: held-out gap without the effect.
+        after: held-out gap with it.
         closed: share of the gap that it closes.
-        low, high: of a bootstrap's 90 % interval of that.
-        bars: what it is judged by.
-        choice: what the base became with it; None where it stayed as it was.
-        params: the effect's own parameters, where `z` has none for it.
-        farther: share by which pixels are farther from the real ones with it.
-        surely: lower end of the share where a scene that has more of the gap is drawn with it, widened where
-            scenes are few.
-        cleared: share of the pixels' distance beyond the noise that goes with it.
-        error: what it leaves on the fitted pairs.
+        low: lower end of the 90 % bootstrap interval of `closed`.
+        high: upper end of that interval.
+        bars: thresholds of the trial.
+        choice: demosaicker that replaced the base's; None if the base kept its own.
+        params: the effect's parameters, if it has none in `z`.
+        farther: relative increase of the pixels' squared distance to the real ones; negative if it falls.
+        surely: lower end of an interval whose bootstrap draws the gap of a scene along with its drop. It is
+            widened if there are few scenes.
+        cleared: share of the pixels' squared distance beyond the noise that the effect removes.
+        error: remaining error on the fitted pairs.
     """
 
     effect: str
@@ -69,21 +75,24 @@ class Trial:
 
     @property
     def gain(self) -> float:
-        """By how much it lowers the gap."""
+        """The drop of the gap."""
         return self.before - self.after
 
     def possible(self, criteria: Criteria) -> bool:
-        """Whether it leaves pixels about where they are, or nearer."""
+        """Whether pixels come closer to the real ones, or move away by less than `Criteria.farthest`."""
         return self.farther < criteria.farthest
 
     def shown(self, criteria: Criteria) -> bool:
-        """Whether pixels alone show it: they come nearer by as much as no out-of-library
-        effect's have, or by half of what they are off."""
+        """Whether pixels alone show the effect.
+
+        They come closer than they do for imitations of out-of-library effects, or by a large share
+        (`Criteria.cleared`) of their distance beyond the noise.
+        """
         plainly = self.farther < -criteria.nearer and self.cleared > criteria.cleared
         return self.farther < -criteria.farthest or plainly
 
     def accepted(self, criteria: Criteria) -> bool:
-        """Whether the effect surely closes some of the gap."""
+        """Whether the effect closes a part of the gap beyond doubt."""
         if self.low <= criteria.smallest or not self.possible(criteria):
             return False
         most = self.closed > criteria.most_of_rest * self.bars.rest
@@ -93,4 +102,4 @@ class Trial:
 
 
 Cause = tuple[Trial, list[str]]
-"""An accepted trial, and the effects that these pairs cannot tell from it."""
+"""An accepted trial, and the effects that these pairs cannot distinguish from it."""

@@ -1,4 +1,4 @@
-"""The gap at the base and its causes: effects that lower it by more than where nothing is missing."""
+"""The verdict: causes of the gap, which lower it by more than effects do for cameras that lack none."""
 
 import dataclasses
 import itertools
@@ -17,8 +17,13 @@ from jaxisp.gap.search.trial import Cause, Trial, Whole
 
 
 class Refused(NamedTuple):
-    """What comes nearest but does not account for the gap: causes, what shows with them, and the point that
-    they lead to."""
+    """The best causes that do not account for the gap.
+
+    Attributes:
+        causes: trials with their look-alikes.
+        after: the gap by axis with them.
+        point: the point with them.
+    """
 
     causes: list[Cause]
     after: Shown
@@ -26,15 +31,16 @@ class Refused(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a search has found.
+    """Result of the search.
 
     Attributes:
-        causes: the accepted effects, each with those like it.
-        point: where they lead.
-        trials: all that were refitted at first.
+        causes: the accepted effects, each with its look-alikes.
+        point: the point with the causes.
+        trials: all trials of the first step, by effect.
         predicted: the drop that screening predicted, by effect.
-        before, after: what shows of the gap without and with the causes.
-        refused: where there is no cause, what comes nearest.
+        before: the gap by axis without the causes.
+        after: the gap by axis with the causes.
+        refused: the best refused causes, if there is no cause.
         hidden: effects that these pairs cannot show.
     """
 
@@ -49,24 +55,24 @@ class Found(NamedTuple):
 
     @property
     def nearest(self) -> list[Trial]:
-        """The effects that come nearest where none is accepted."""
+        """Trials of the best refused causes; empty if causes were accepted."""
         return [] if self.refused is None else [trial for trial, _ in self.refused.causes]
 
 
 def whole_of(case: Case, size: float) -> Whole:
-    """The gap above the floor, unit by unit of the held-out pairs."""
+    """The gap above the floor, with its parts by scene and unit of the held-out pairs."""
     held = list(case.split.held_out)
     above = case.evidence.units(case.point)[held] - case.floors[held][:, None]
     return Whole(size, clustered(case.evidence, above))
 
 
 def terms_of(case: Case, gap: Gap) -> Terms:
-    """When an effect counts in this gap: the criteria as shares of it."""
+    """Terms of the search: the criteria converted to shares of this gap."""
     criteria, scale, model = case.criteria, gap.scale, case.point.model
     harmless = criteria.null_drop * gap.unit / scale
     alone = max(harmless, criteria.smallest)
     visible = criteria.null_excess * gap.unit
-    # a second compression on the file's own grid imitates a little of any other compression
+    # a second compression on the file's own grid partly imitates any other compression
     references = set(case.evidence.references)
     barred = [name for name in model.effects if references & set(model.indices([name]))]
     return Terms(
@@ -85,7 +91,7 @@ def terms_of(case: Case, gap: Gap) -> Terms:
 
 
 def searched(case: Case, gap: Gap, tick: Tick) -> Found:
-    """As many of the causes found as account for the gap."""
+    """Search for causes, and keep the longest leading part of them that accounts for the gap."""
     evidence, criteria, start = case.evidence, case.criteria, case.point
     before, terms = shown(evidence, start), terms_of(case, gap)
     found = search(evidence, start, case.offered, terms, tick)
@@ -99,7 +105,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
             causes = with_grain(causes, grain, gap.floor, criteria)
             if count == len(steps):
                 trials, predicted = trials | {"film_grain": grain}, predicted | {"film_grain": grain.gain}
-        # smoothing alone can come nearer than the floor: then nothing is a cause
+        # without a gap there are no causes, although smoothing alone can come below the floor
         if terms.most and causes and max(t.closed for t, _ in causes) >= criteria.leading:
             after, names, left = shown(evidence, at), [t.effect for t, _ in causes], causes[-1][0].after
             if accounted(criteria, names, before, after, gap, left):
@@ -110,7 +116,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
 
 
 def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
-    """Film grain, where the files' own doing is known and pixels are compared."""
+    """The trial of film grain; it needs RAW+JPEG pairs with known errors of the file's compression."""
     pixels, stored = case.pixels, case.stored
     assert pixels is not None and stored is not None
     seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
@@ -118,7 +124,7 @@ def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
 
 
 def _grain_closes(case: Case, scale: float, least: float) -> float:
-    """The share of the gap that film grain accounts for at the base: no effect can lead with that."""
+    """The share in [0, 1] of the gap that film grain accounts for at the base; no effect can close it."""
     if case.stored is None:
         return 0.0
     grain = _grain(case, case.point, scale, least)
@@ -128,12 +134,14 @@ def _grain_closes(case: Case, scale: float, least: float) -> float:
 def _as_added(
     case: Case, causes: Sequence[Cause], after: Shown, at: Point, terms: Terms
 ) -> tuple[list[Cause], Shown, Point]:
-    """The causes by decreasing closure, each measured where those before it are in, what shows with them, and
-    where they lead.
+    """Order the causes by decreasing closure, and measure each on top of those before it.
 
-    What was found in another order is fitted again in this one, from where it ended. Should it close in yet
-    another order then, or leave more by a harmless share of the gap, it stays as it was, as `by_closure`
-    has it; so does film grain beside a RAW, which is not fitted.
+    Causes found in another order are refitted in this order, from their end. The refit is discarded in favour
+    of `by_closure` if its closures do not decrease, or if it leaves a larger gap. Film grain of RAW+JPEG
+    pairs is not fitted, so causes with it are never refitted.
+
+    Returns:
+        the causes; the gap by axis with them; the point with them.
     """
     alike = {trial.effect: names for trial, names in causes}
     order = [t.effect for t in sorted((t for t, _ in causes), key=lambda t: -t.closed)]
@@ -149,8 +157,7 @@ def _as_added(
 
 
 def by_closure(causes: Sequence[Cause]) -> list[Cause]:
-    """The causes in the order of decreasing closure, with the same drops and the same end: what was added
-    later may close more."""
+    """Sort the causes by decreasing closure; each keeps its drop, and all keep their common end."""
     found: list[Cause] = []
     after = causes[-1][0].after if causes else 0.0
     for trial, alike in sorted(causes, key=lambda cause: cause[0].closed):
