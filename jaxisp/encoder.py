@@ -13,6 +13,9 @@ from jaxisp.stages.jpeg_file import JpegFile
 ENCODER = "jpeg_tables"
 """The name of the node, whatever its stage: cameras and priors go by it."""
 _MOST = specs(JpegFile)["to_file"].bounds[1]
+_WRAP, _LARGEST = 8192, 2048
+"""libjpeg-turbo holds 8 times a step in 16 bits, so that it divides by a step modulo the first. Steps above
+the second leave no coefficient in any case."""
 
 
 def encoder_of(file: Jpeg | None, name: str = ENCODER) -> tuple[Stage, Params] | None:
@@ -48,6 +51,9 @@ def no_encoder(file: Jpeg) -> str | None:
     """Why the encoder of a file is not modelled, in words; None where it is."""
     if file.subsampling not in SAMPLING:
         return f"its chroma sampling {file.subsampling} is not one of {', '.join(SAMPLING)}"
+    steps = np.asarray(file.tables)
+    if wrapped := steps[(steps >= _WRAP) & (steps % _WRAP <= _LARGEST)].tolist():
+        return f"encoders divide by another step than {wrapped[0]:g}, which its tables state"
     if file.converted and file.space is None:
         return "its colour profile is made of tables"
     if file.space is not None and file.space.curve_table is None:

@@ -248,7 +248,7 @@ def check_levels(images: ArrayLike, who: str) -> None:
         low, high = map(float, _range(images))
     else:
         given = np.asarray(images)
-        low, high = float(given.min()), float(given.max())
+        low, high = float(given.min()), float(given.max())  # NaN where one is
     if low >= DARKEST and high <= BRIGHTEST:
         return
     if not np.isfinite(low + high):
@@ -262,7 +262,9 @@ def check_levels(images: ArrayLike, who: str) -> None:
 
 @jax.jit
 def _range(images: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return images.min(), images.max()
+    # a minimum over devices passes over NaN
+    finite = jnp.isfinite(images).all()
+    return jnp.where(finite, images.min(), jnp.nan), jnp.where(finite, images.max(), jnp.nan)
 
 
 def check_photographs(recipe: Recipe) -> None:

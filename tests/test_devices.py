@@ -175,6 +175,16 @@ def test_a_training_loop_of_ones_own(mesh):
     np.testing.assert_allclose(gain, alone, rtol=1e-5)
 
 
+@pytest.mark.parametrize("mesh", MESHES, ids=["auto", "explicit"])
+@pytest.mark.parametrize("image", [0, 3])
+def test_nan_on_any_device_is_refused(mesh, image):
+    images = IMAGES[:4].copy()
+    images[image, 0, 0, 0] = np.nan
+    spread = jax.device_put(images, NamedSharding(mesh, PartitionSpec("batch")))
+    with pytest.raises(ValueError, match="NaN"):
+        RECIPES["awgn"]().degrade(KEY, spread)
+
+
 def test_a_batch_on_an_explicit_mesh_has_the_bits_of_one_device():
     mesh, recipe = MESHES[1], RECIPES["phone-kodak"]()
     wanted, _, drawn = recipe.degrade(KEY, IMAGES[:4], 3)

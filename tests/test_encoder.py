@@ -73,6 +73,33 @@ def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
     assert off.mean() < 0.1, off.mean()
 
 
+@pytest.mark.parametrize("step", [8192, 9000, 16384])
+def test_steps_that_encoders_wrap_are_said(step):
+    file = coded(qtables=flat(5, step), subsampling="4:4:4")
+    assert encoder_of(file) is None and f"another step than {step}" in no_encoder(file)
+
+
+@pytest.mark.parametrize("names", [b"\x01\x02\x03", b"RGB"])
+def test_a_jfif_marker_means_luma_and_chroma(names):
+    """Before Adobe's marker and the names of the components, as in libjpeg."""
+    out = io.BytesIO()
+    Image.fromarray(PICTURE).save(out, "JPEG", quality=80, subsampling="4:4:4")
+    data, adobe = out.getvalue(), b"\xff\xee\x00\x0eAdobe\x00\x64\x00\x00\x00\x00\x00"
+    if names == b"RGB":
+        frame, scan = data.index(b"\xff\xc0"), data.index(b"\xff\xda")
+        named = bytearray(data)
+        for i, name in enumerate(names):
+            named[frame + 10 + 3 * i] = named[scan + 5 + 2 * i] = name
+        data = bytes(named)
+    else:
+        after = 4 + int.from_bytes(data[4:6], "big")
+        data = data[:after] + adobe + data[after:]
+    file = decode_jpeg(data, "a.jpg")
+    assert file.color_space == "YCbCr"
+    stored = as_stored((PICTURE / 255).astype(np.float32), file)
+    assert np.abs(stored * 255 - file.pixels).mean() < 0.6
+
+
 def test_what_is_not_modelled_is_said():
     icc = profile("grey", COLORANTS["sRGB"], GAMMA_1, connection=b"Lab ", tables=grey_tables())
     file = coded(icc_profile=icc)

@@ -173,7 +173,10 @@ def _tables(picture: Any, name: str) -> np.ndarray:
 
 
 def _color_space(frame: Frame, picture: Any) -> str:
+    """As libjpeg decides: a JFIF marker means Y'CbCr; else Adobe's marker counts, then the components' names."""
     transform = picture.info.get("adobe_transform")
+    if "jfif" in picture.info:
+        return "YCbCr"
     return "RGB" if transform == 0 or (transform is None and bytes(frame.ids) == b"RGB") else "YCbCr"
 
 
