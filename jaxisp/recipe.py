@@ -245,7 +245,8 @@ def check_levels(images: ArrayLike, who: str) -> None:
     if isinstance(images, jax.Array):
         if not images.is_fully_addressable:
             return
-        low, high = map(float, _range(images))
+        with jax.ensure_compile_time_eval():  # also of images that a program that is traced holds
+            low, high = map(float, _range(images))
     else:
         given = np.asarray(images)
         low, high = float(given.min()), float(given.max())  # NaN where one is

@@ -31,9 +31,12 @@ def value_text(value: Any) -> str:
     if array.size > _MOST:
         shape = "x".join(map(str, array.shape))
         return f"{shape} from {np.nanmin(array):.4g} to {np.nanmax(array):.4g}"
-    return np.array2string(array, separator=", ", formatter={"float_kind": lambda x: f"{x:.5g}"}).replace(
-        "\n", ""
-    )
+    return _numbers(array)
+
+
+def _numbers(array: np.ndarray) -> str:
+    # not np.array2string, which follows print options that others set
+    return f"{float(array):.5g}" if array.ndim == 0 else f"[{', '.join(map(_numbers, array))}]"
 
 
 def params_text(params: Any) -> str:

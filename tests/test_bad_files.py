@@ -12,15 +12,14 @@ from jaxisp.errors import printable
 from jaxisp.io import write_png
 from jaxisp.testing import smooth_image
 from jaxisp.train.logs import STEP_FIELDS, Log, read_rows
-from tests.io.test_files import as_nobody, special_inputs
+from tests.io.test_files import as_nobody, open_to_all, special_inputs
 
 EVIL = "\x1b]0;owned\x07[red]a[bold]\u202egnp\x9b2J"
 
 
 @pytest.fixture
 def folder(tmp_path):
-    for path in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        path.chmod(0o777)
+    open_to_all(tmp_path)
     (tmp_path / "in").mkdir()
     for i, name in enumerate(("fine.png", "n" * 251 + ".png", f"{EVIL}.png")):
         write_png(tmp_path / "in" / name, smooth_image((24, 30, 3), i))

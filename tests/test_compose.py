@@ -155,7 +155,7 @@ def test_edits_that_are_refused(of):
         (lambda: phone.insert(stage("median"), before="median"), "median is not: use stage"),
         (lambda: phone.without("mosaic"), "takes"),
         (lambda: phone.replace("demosaic_hibbard", stage("demosaic_ahd")), "takes one colour for another"),
-        (lambda: phone.override(mosaic={"cfa": "GRBB"}), "one of 'RGGB'"),
+        (lambda: phone.override(mosaic={"cfa": "GRBB"}), "one of RGGB"),
         (lambda: phone.override(median={"footprnt": "cross"}), "footprint"),
         (lambda: phone.override(medain={}), "has no stage '?medain'?; is it median"),
     ):

@@ -15,6 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from jaxisp.arrays.dtypes import given_and_exact
 from jaxisp.arrays.rows import elementwise
 from jaxisp.arrays.varying import alike
 
@@ -127,7 +128,7 @@ def total(image: jax.Array) -> jax.Array:
 
 def mean(image: jax.Array) -> jax.Array:
     """The mean over an image, summed in float32 at least."""
-    wide = image.astype(jnp.promote_types(image.dtype, jnp.float32))
+    wide = image.astype(given_and_exact(image)[1])
     return (total(wide) / image.size).astype(image.dtype)
 
 

@@ -173,7 +173,7 @@ def _tables(picture: Any, name: str) -> np.ndarray:
 
 
 def _color_space(frame: Frame, picture: Any) -> str:
-    """As libjpeg decides: a JFIF marker means Y'CbCr; else Adobe's marker counts, then the components' names."""
+    """As libjpeg decides: by a JFIF marker, which means Y'CbCr; else by Adobe's; else by the components."""
     transform = picture.info.get("adobe_transform")
     if "jfif" in picture.info:
         return "YCbCr"

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.arrays.dtypes import given_and_exact
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip, clip_through, round_through, straight_through
 from jaxisp.domains import EncodedRGB
@@ -212,7 +213,7 @@ def _through_jpeg(
 
 def _levels(image: jax.Array) -> Planes:
     """The planes in 8 bits, in a type that holds the sums: float16 does not."""
-    exact = jnp.promote_types(image.dtype, jnp.float32)
+    exact = given_and_exact(image)[1]
     red, green, blue = (round_through(255 * clip(p, 0, 1)).astype(exact) for p in planes(image))
     return red, green, blue
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.dtypes import given_and_exact
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip, clip_through, round_through
 from jaxisp.color import apply_matrix, srgb_to_linear
@@ -82,7 +83,7 @@ def jpeg_file(
         raise ValueError(f"jpeg_file: subsampling must be one of {', '.join(SAMPLING)}, got {subsampling!r}")
     if components not in COMPONENTS:
         raise ValueError(f"jpeg_file: components must be one of {', '.join(COMPONENTS)}, got {components!r}")
-    exact = jnp.promote_types(image.dtype, jnp.float32)  # float16 does not hold the sums
+    exact = given_and_exact(image)[1]  # float16 does not hold the sums
     given = clip(image.astype(exact), 0, 1)
     lost = jnp.isnan(given).any(-1, keepdims=True)
     given = jnp.where(lost, 0, given)

@@ -9,6 +9,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -247,6 +248,15 @@ def special_files(folder):
     return names
 
 
+def open_to_all(folder):
+    """Let any user into a folder of pytest's, and write there."""
+    for path in folder.parents:
+        if path == Path(tempfile.gettempdir()):
+            break
+        path.chmod(0o755)
+    folder.chmod(0o777)
+
+
 @contextlib.contextmanager
 def as_nobody():
     """Permissions do not stop root."""
@@ -288,9 +298,7 @@ def special_inputs(folder):
     "reader", [check_file, digest_of, read_image, read_jpeg, read_raw, load_npy, read_toml, read_json]
 )
 def test_special_inputs_are_refused_at_once(tmp_path, reader):
-    tmp_path.chmod(0o777)
-    tmp_path.parent.chmod(0o755)
-    tmp_path.parent.parent.chmod(0o755)
+    open_to_all(tmp_path)
     wanted = special_inputs(tmp_path)
     with as_nobody():
         for path, what in wanted.items():
@@ -303,9 +311,7 @@ def test_special_inputs_are_refused_at_once(tmp_path, reader):
 
 
 def test_one_bad_input_of_many_does_not_end_the_rest(tmp_path):
-    tmp_path.chmod(0o777)
-    tmp_path.parent.chmod(0o755)
-    tmp_path.parent.parent.chmod(0o755)
+    open_to_all(tmp_path)
     (tmp_path / "of").mkdir()
     (tmp_path / "of" / "shut").mkdir()
     os.mkfifo(tmp_path / "of" / "FIFO.png")

@@ -60,7 +60,7 @@ def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
         time.sleep(0.05)
     process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (status, LINE + "\n") and "go on with --resume" in out
+    assert (process.returncode, err) == (status, LINE + "\n") and "continue with --resume" in out
     assert (tmp_path / "run" / "checkpoints" / "last").is_dir() and not (tmp_path / "run" / ".lock").exists()
 
 

@@ -182,7 +182,7 @@ def _first_green(mosaic: Stored, within: tuple[jax.Array, jax.Array], place: Pla
         return (164 * read(1, step) + 92 * read(-2, step) + 33 * curve) / 256
 
     estimates = jnp.stack([along(step) for step in _along(toward, across, *aslant)])
-    return jnp.clip(estimates, *within)
+    return jnp.clip(estimates, *(bound[None] for bound in within))
 
 
 def _next_green(
@@ -216,7 +216,7 @@ def _differences(mosaic: dict[Place, jax.Array], green: Stored, clipped: bool) -
         return jnp.clip(differences, -own, 1 - own) if clipped else differences
 
     inner = (..., slice(1, -1), slice(1, -1))
-    known = store({place: mosaic[place] - green.planes[place][inner] for place in BESIDE})
+    known = store({place: mosaic[place][None] - green.planes[place][inner] for place in BESIDE})
     solitary = {SOLITARY: kept(_on_solitary(known, green), SOLITARY)}
     stored, both = store(solitary), {}
     for place in BESIDE:
@@ -291,7 +291,7 @@ def _weights(candidates: Planes) -> jax.Array:
     bends = materialize(jnp.concatenate([jnp.stack(each) for each in zip(*by_line)]))
     limit = 8 * reduce(jnp.minimum, bends[:, 1:-1, 1:-1])
     h, w = limit.shape
-    near = [bends[:, 1 + y : 1 + y + h, 1 + x : 1 + x + w] <= limit for y, x in square(1)]
+    near = [bends[:, 1 + y : 1 + y + h, 1 + x : 1 + x + w] <= limit[None] for y, x in square(1)]
     votes = materialize(reduce(jnp.add, [vote.astype(limit.dtype) for vote in near]))
     for axis in (1, 2):
         n = votes.shape[axis] - 4
@@ -299,7 +299,7 @@ def _weights(candidates: Planes) -> jax.Array:
     if len(votes) > count:
         first, last = votes[:count], votes[count:]
         votes = jnp.concatenate([jnp.where(first < last, 0, first), jnp.where(first > last, 0, last)])
-    most = reduce(jnp.maximum, votes)
+    most = reduce(jnp.maximum, votes)[None]
     return (votes >= most - jnp.floor(most / 8)).astype(votes.dtype)
 
 
