@@ -230,7 +230,7 @@ def _on_solitary(known: Stored, green: Stored) -> jax.Array:
     """(4, 2, M, N): each colour from the two next pixels of it along the row, or along the column."""
 
     def along(step: Place) -> tuple[jax.Array, jax.Array]:
-        values, error = [], jnp.zeros(())
+        values, error = [], jnp.zeros((), green.planes[SOLITARY].dtype)
         for distance in (1, 2):
             offsets = [_times(sign * distance, step) for sign in (1, -1)]
             ahead, behind = (at(known, SOLITARY, o) for o in offsets)
