@@ -95,6 +95,27 @@ class Node:
         return self.apply(*alike((params, image, key)))
 
 
+class Around(Node):
+    """A node around another, whose domains and stages are its own; it adds one entry to the parameters."""
+
+    node: Node
+
+    @property
+    def domain_in(self) -> Domain:
+        return self.node.domain_in
+
+    @property
+    def domain_out(self) -> Domain:
+        return self.node.domain_out
+
+    def stages(self) -> Iterator["Stage"]:
+        return self.node.stages()
+
+    def names(self) -> Iterator[str]:
+        yield self.name
+        yield from self.node.names()
+
+
 @dataclass(frozen=True, repr=False)
 class Stage(Node):
     """A stage function with its static options bound and a name. Build it with `stage`.

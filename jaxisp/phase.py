@@ -1,14 +1,12 @@
 """A mosaic that begins at any photosite of its pattern's cell: a traced phase, one compile for all four."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.domains import Domain
-from jaxisp.node import Node, Params, Stage, entry
+from jaxisp.node import Around, Node, Params, entry
 from jaxisp.params import Leaf, param, parameters
 
 
@@ -21,7 +19,7 @@ class CfaPhase:
 
 
 @dataclass(frozen=True, repr=False)
-class AnyPhase(Node):
+class AnyPhase(Around):
     """What runs from a mosaic to demosaicking, with the pattern shifted by `params[NAME]`, a `CfaPhase`.
 
     The picture is moved against the pattern, within a border of reflected pixels, and moved back. At phase
@@ -42,23 +40,8 @@ class AnyPhase(Node):
             )
 
     @property
-    def domain_in(self) -> Domain:
-        return self.node.domain_in
-
-    @property
-    def domain_out(self) -> Domain:
-        return self.node.domain_out
-
-    @property
     def reach(self) -> int | None:
         return None  # where a strip begins is another phase
-
-    def stages(self) -> Iterator[Stage]:
-        return self.node.stages()
-
-    def names(self) -> Iterator[str]:
-        yield self.name
-        yield from self.node.names()
 
     def init(self) -> Params:
         return {self.name: CfaPhase(), **self.node.init()}

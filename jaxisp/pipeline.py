@@ -22,7 +22,7 @@ from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.node import Node, Params, Stage, entry, stage
+from jaxisp.node import Around, Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, sections, signature
@@ -133,7 +133,7 @@ class Switch:
 
 
 @dataclass(frozen=True, repr=False)
-class Gate(Node):
+class Gate(Around):
     """A node that a traced switch turns on and off without a retrace.
 
     Its switch is `params["use_NAME"].on`. Off costs next to nothing unbatched; under `vmap` with a
@@ -149,23 +149,8 @@ class Gate(Node):
         _require_keeping(self.node, "Gate")
 
     @property
-    def domain_in(self) -> Domain:
-        return self.node.domain_in
-
-    @property
-    def domain_out(self) -> Domain:
-        return self.node.domain_out
-
-    @property
     def reach(self) -> int | None:
         return self.node.reach
-
-    def stages(self) -> Iterator[Stage]:
-        return self.node.stages()
-
-    def names(self) -> Iterator[str]:
-        yield self.name
-        yield from self.node.names()
 
     def init(self) -> Params:
         return {self.name: Switch(), **self.node.init()}
