@@ -22,6 +22,7 @@ LAYERS = [
     {"recipe"},
     {"mixture"},
     {"recipes", "camera", "encoder", "report"},
+    {"calibrate"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
     {"train"},
     {"gap"},
