@@ -14,6 +14,7 @@ _HOME = {
     "Chain": "jaxisp.pipeline",
     "Gate": "jaxisp.pipeline",
     "Shuffle": "jaxisp.pipeline",
+    "Unprocessed": "jaxisp.unprocess",
     "Stage": "jaxisp.pipeline",
     "register": "jaxisp.pipeline",
     "run": "jaxisp.pipeline",
