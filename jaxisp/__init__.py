@@ -28,7 +28,7 @@ _HOME = {
     "keep_freed": "jaxisp.process.memory",
 }
 _MODULES = {
-    "calibrate", "camera", "data", "explore", "fit", "gap", "io", "losses", "metrics", "models", "params",
+    "calibrate", "camera", "data", "explore", "fit", "gap", "interop", "io", "losses", "metrics", "models", "params",
     "priors", "recipes", "samples", "stages", "train",
 }  # fmt: skip
 

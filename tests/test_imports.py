@@ -24,6 +24,7 @@ LAYERS = [
     {"recipes", "camera", "encoder", "report"},
     {"calibrate"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
+    {"interop"},
     {"train"},
     {"gap"},
     {"demo"},
