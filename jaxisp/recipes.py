@@ -19,6 +19,12 @@ from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.published import PUBLISHED
+from jaxisp.published import bsrgan as bsrgan
+from jaxisp.published import cbdnet as cbdnet
+from jaxisp.published import darmstadt as darmstadt
+from jaxisp.published import low_light as low_light
+from jaxisp.published import rsblur as rsblur
+from jaxisp.published import unprocessing as unprocessing
 from jaxisp.recipe import Recipe
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
