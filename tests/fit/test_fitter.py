@@ -338,6 +338,9 @@ def test_what_no_encoder_models_is_noted(folder):
     odd = dataclasses.replace(given, jpeg=dataclasses.replace(given.jpeg, subsampling="4:1:1"))
     assert not any("encoder" in note for note in prepare(given).notes)
     assert any("JPEG encoder did is not modelled: its chroma sampling 4:1:1" in n for n in prepare(odd).notes)
+    raw = dataclasses.replace(given.raw, notes=("its A is not applied", "its B is not applied"))
+    stated = prepare(dataclasses.replace(given, raw=raw)).notes
+    assert stated == ("RAW: its A is not applied; its B is not applied",)
 
 
 @pytest.mark.slow
