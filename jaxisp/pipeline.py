@@ -397,7 +397,10 @@ def spread(
     images: Any,
     keys: Any,
 ) -> jax.Array:
-    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh."""
+    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh.
+
+    Parts of an image are gathered first, since stages read beyond them.
+    """
     rows = PartitionSpec(jax.typeof(images).sharding.spec[0])
     specs = jax.tree.map(lambda a: PartitionSpec() if a is None else rows, axes, is_leaf=lambda a: a is None)
     in_specs = (specs, rows, None if keys is None else rows)
