@@ -132,10 +132,10 @@ def tell_unused(tags: DngTags, tell: Tell) -> None:
     if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
         tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
     names = list(dict.fromkeys(name for code, name in tag.STATED.items() if tags.get(code)))
-    # those that have a value at which nothing is to be done, and of it stated or not
+    # each has a value at which nothing is to be done; 0/0 states none
     for code, name, plain in _HINTS:
         value = tags.numbers(code)
-        if value is not None and not np.array_equal(value, [plain]):
+        if value is not None and np.isfinite(value).all() and not np.array_equal(value, [plain]):
             names.append(f"{name} of {', '.join(f'{v:g}' for v in value)}")
     if _is_hdr(tags):
         names.append("ProfileDynamicRange (HDR)")

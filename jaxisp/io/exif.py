@@ -16,7 +16,7 @@ from jaxisp.io.stated_color import NOTHING, StatedColor
 _ORIENTATION, _MAKE, _MODEL, _EXIF_IFD, _INTEROPERABILITY = 274, 271, 272, 34665, 40965
 _ISO, _SENSITIVITY_TYPE, _OUTPUT, _INDEX, _SPEED = 34855, 34864, 34865, 34866, 34867
 _COLOR_SPACE, _GAMMA = 40961, 42240
-_TRANSFER, _WHITE, _PRIMARIES, _TRANSFER_RANGE = 301, 318, 319, 342
+_TRANSFER, _WHITE, _PRIMARIES, _TRANSFER_RANGE, _LEVELS = 301, 318, 319, 342, 532
 _BEYOND = 65535
 """What the ISO tag of 16 bits says where the number is that or larger, and stands elsewhere."""
 _BY_TYPE = {
@@ -82,6 +82,7 @@ def _parsed(table: Image.Exif) -> Exif:
             gamma=inner.get(_GAMMA),
             transfer=table.get(_TRANSFER),
             transfer_range=table.get(_TRANSFER_RANGE),
+            levels=table.get(_LEVELS),
         ),
     )
 

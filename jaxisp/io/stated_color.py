@@ -33,6 +33,7 @@ class StatedColor:
         primaries: x, y of red, green and blue (tag 319); white: x, y (318).
         gamma: EXIF's, an exponent.
         transfer: a table of linear light, or three (tag 301); transfer_range: its black and white (342).
+        levels: codes of black and white of each component (tag 532, ReferenceBlackWhite).
     """
 
     adobe_rgb: bool = False
@@ -42,6 +43,7 @@ class StatedColor:
     gamma: Any = None
     transfer: Any = None
     transfer_range: Any = None
+    levels: Any = None
 
     def space(self, codes: int | None = 256, linear: bool = False) -> ColorSpace | None:
         """The colour space of pixels; None where sRGB or nothing is stated.
@@ -63,6 +65,8 @@ class StatedColor:
             return ADOBE_RGB
         if self.srgb:
             return None
+        if self.levels is not None and codes is not None:
+            _check_levels(_numbers(self.levels, 6, "ReferenceBlackWhite (tag 532)"), codes)
         white = D65 if self.white is None else _numbers(self.white, 2, "WhitePoint (tag 318)")
         corners: Any = SRGB_PRIMARIES
         if self.primaries is not None:
@@ -125,6 +129,13 @@ def _numbers(value: Any, count: int, name: str) -> np.ndarray:
     if numbers.size != count or not np.isfinite(numbers).all():
         raise ValueError(f"a damaged {name}")
     return numbers
+
+
+def _check_levels(levels: np.ndarray, codes: int) -> None:
+    """The whole range of RGB, or of luma and chroma whose zero is in the middle."""
+    black, white = levels[0::2], levels[1::2]
+    if not ((white == codes - 1).all() and black[0] == 0 and np.isin(black, (0, codes // 2)).all()):
+        raise ValueError("a ReferenceBlackWhite (tag 532) other than the whole range")
 
 
 def _near(given: Any, known: Any) -> bool:

@@ -15,7 +15,7 @@ from tests.io.test_color_space import PIXELS, by_colour, near, refused
 
 SPACES = {name: colour.RGB_COLOURSPACES[name] for name in ("Adobe RGB (1998)", "Display P3", "ProPhoto RGB")}
 SRGB = colour.RGB_COLOURSPACES["sRGB"]
-GAMMA, WHITE, PRIMARIES, TRANSFER, RANGE, COLOR_SPACE = 0xA500, 318, 319, 301, 342, 0xA001
+GAMMA, WHITE, PRIMARIES, TRANSFER, RANGE, LEVELS, COLOR_SPACE = 0xA500, 318, 319, 301, 342, 532, 0xA001
 FLAT = np.full((16, 16, 3), (120, 160, 90), np.uint8)
 CURVE = np.linspace(0, 1, 256) ** 1.8
 TABLE = tuple(np.rint(CURVE * 65535).astype(int).tolist())
@@ -74,6 +74,9 @@ def test_a_curve_alone_has_srgbs_primaries(tmp_path):
         ({WHITE: rational(SRGB.whitepoint)}, {}),
         ({WHITE: rational((0.313, 0.329)), PRIMARIES: rational(SRGB.primaries)}, {COLOR_SPACE: 65535}),
         ({}, {COLOR_SPACE: 65535}),
+        ({LEVELS: rational((0, 255) * 3)}, {}),
+        ({LEVELS: rational((0, 255, 128, 255, 128, 255))}, {}),
+        ({LEVELS: rational((16, 235) * 3), PRIMARIES: rational((0.7, 0.3) * 3)}, {COLOR_SPACE: 1}),
     ],
 )
 def test_srgb_by_its_numbers(tmp_path, main, inner):
@@ -102,6 +105,7 @@ ADOBE = rational(SPACES["Adobe RGB (1998)"].primaries)
         ({TRANSFER: TABLE[:100]}, {}, "TransferFunction (tag 301) of 100 values"),
         ({TRANSFER: TABLE[::-1]}, {}, "does not rise"),
         ({TRANSFER: TABLE, RANGE: (0, 235) * 3}, {}, "TransferRange"),
+        ({LEVELS: rational((16, 235) * 3)}, {}, "ReferenceBlackWhite"),
     ],
 )
 def test_what_is_stated_and_not_computed_is_refused(tmp_path, main, inner, words):
