@@ -3,7 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
-PYTEST := $(BIN)/python -m pytest -n 2
+# tests start many processes: each would compile the package's modules again where Python may not keep them
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 

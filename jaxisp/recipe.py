@@ -40,6 +40,17 @@ class Recipe:
     Two recipes are equal where their TOML and the functions of their stages are. Recipes of equal chains
     share one compile if their priors are of the same kinds: numbers are traced. A recipe is a pytree of
     these numbers, so that a jitted function takes one as an argument.
+
+    Example:
+        >>> import jax, jaxisp, numpy as np
+        >>> from jaxisp.priors import Uniform
+        >>> recipe = jaxisp.recipes.amwgn().override(shot_read_noise={"read": Uniform(0.0, 0.02)})
+        >>> images = np.full((2, 16, 16, 3), 0.5, np.float32)
+        >>> noisy, clean, params = recipe.degrade(jax.random.key(0), images)
+        >>> noisy.shape, params["shot_read_noise"].read.shape
+        ((2, 16, 16, 3), (2,))
+        >>> jaxisp.Recipe.from_toml(recipe.to_toml()) == recipe
+        True
     """
 
     chain: Chain

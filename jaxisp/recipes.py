@@ -160,6 +160,10 @@ def find_recipe(name: str) -> Recipe:
     """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none.
 
     The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
+
+    Example:
+        >>> find_recipe("phone").name
+        'phone'
     """
     if name in RECIPES:
         return RECIPES[name]()
@@ -180,6 +184,13 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
 
     Raises:
         InputError: no such recipe, two of one name, one that is not for photographs, or other shares.
+
+    Example:
+        >>> import jax, numpy as np
+        >>> mixture = mix({"amwgn": 0.5, "awgn": 0.5})
+        >>> _, _, params = mixture.degrade(jax.random.key(0), np.full((8, 8, 8, 3), 0.5, np.float32))
+        >>> params["recipe"].shape, mixture.names
+        ((8,), ('amwgn', 'awgn'))
     """
     if not isinstance(shares, Mapping):
         raise InputError(

@@ -89,6 +89,13 @@ def write_png(path: PathLike, image: np.ndarray) -> None:
 
     Raises:
         InputError: NaN in the image, or the file cannot be written.
+
+    Example:
+        >>> import numpy as np, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_png(f"{folder}/grey.png", np.full((4, 6, 3), 0.5, np.float32))
+        ...     read_image(f"{folder}/grey.png").shape
+        (4, 6, 3)
     """
     pixels = to_bytes(image, str(path))
     with atomic_write(path) as file:

@@ -40,6 +40,11 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
 
     Raises:
         InputError: no such network or option.
+
+    Example:
+        >>> import numpy as np
+        >>> make_model("fast")(np.zeros((1, 16, 16, 3), np.float32)).shape
+        (1, 16, 16, 3)
     """
     if name not in MODELS:
         raise InputError(f"no model named {name!r}; there are {', '.join(MODELS)}")

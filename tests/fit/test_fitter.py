@@ -16,6 +16,7 @@ from jaxisp.errors import InputError
 from jaxisp.fit import fit_examples, model
 from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
+from jaxisp.fit.seen import unseen
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, sharing
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
@@ -50,6 +51,7 @@ def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
     developed = develop(pair.raw, Recipe.load(tmp_path / "camera.toml"))
     rendered = orient(result.pairs[0].render, pair.raw.orientation)
     assert psnr(developed[8:-8, 8:-8], rendered[8:-8, 8:-8]) > 35  # only the sub-pixel shift differs
+    assert unseen(pair.raw, Recipe.load(tmp_path / "camera.toml")) == []
 
 
 def test_figures_are_of_disjoint_tiles(folder, result):
