@@ -67,7 +67,7 @@ class StatedColor:
             return None
         if self.levels is not None and codes is not None:
             _check_levels(_numbers(self.levels, 6, "ReferenceBlackWhite (tag 532)"), codes)
-        white = D65 if self.white is None else _numbers(self.white, 2, "WhitePoint (tag 318)")
+        white: Any = D65 if self.white is None else _numbers(self.white, 2, "WhitePoint (tag 318)")
         corners: Any = SRGB_PRIMARIES
         if self.primaries is not None:
             corners = _numbers(self.primaries, 6, "PrimaryChromaticities (tag 319)").reshape(3, 2)

@@ -182,7 +182,7 @@ def _value(tag: Any) -> Any:
 
 def _code(name: str) -> Any:
     """The number of an EXIF tag, which tifffile calls by its name where it knows one."""
-    return int(name) if name.isdecimal() else tifffile.TIFF.EXIF_TAGS.get(name)
+    return int(name) if name.isdecimal() else tifffile.TIFF.EXIF_TAGS.get(name, None)
 
 
 def _rawness(tags: dict[int, Any]) -> tuple[bool, bool, int]:
