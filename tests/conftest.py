@@ -45,7 +45,7 @@ _MOST_MEMORY = 3e9  # bytes
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """With `--dist loadgroup` a file's tests stay on one worker; those of the fitter are one group: one fit."""
+    """With `--dist loadgroup` a file's tests stay on one worker, and so do all of the fitter: one fit."""
     for item in items:
         folder = item.path.parent.name
         item.add_marker(pytest.mark.xdist_group(folder if folder == "fit" else str(item.path)))
