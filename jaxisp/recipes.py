@@ -18,6 +18,7 @@ from jaxisp.mixture import Mixture
 from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
+from jaxisp.published import PUBLISHED
 from jaxisp.recipe import Recipe
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
@@ -152,7 +153,7 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
         phone_shot,
         phone_any,
     )
-}
+} | PUBLISHED
 """The built-in recipes by the name that the command line takes."""
 
 
