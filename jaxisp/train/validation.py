@@ -9,13 +9,13 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from jaxisp.data.clean import CleanImages
-from jaxisp.data.loader import degrader
 from jaxisp.data.sources import CleanPatches
 from jaxisp.recipe import Recipe
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import spread
 from jaxisp.train.step import LOSSES, State, split_model, weights
+from jaxisp.train.target import Pairs, pair_maker
 
 Validate = Callable[[State], dict[str, float]]
 
@@ -26,7 +26,7 @@ def make_validation(
     """`validate(state) -> {"loss", "psnr", "psnr_in"}`, means over `config.validation` patches (rounded
     up to whole batches) of photographs held out, with the averaged weights."""
     key = jax.random.fold_in(jax.random.key(config.seed), 1)
-    measure = _measure(model, degrader(recipe, key, mesh), config)
+    measure = _measure(model, pair_maker(recipe, key, config.target, mesh), config)
     batches = -(-config.validation // config.batch)
     per_image = -(-batches * config.batch // len(images.images))
     source = CleanPatches(
@@ -44,12 +44,12 @@ def make_validation(
     return validate
 
 
-def _measure(model: nnx.Module, degrade: Any, config: TrainConfig) -> Any:
+def _measure(model: nnx.Module, pairs: Pairs, config: TrainConfig) -> Any:
     graph, _, _ = split_model(model, train=False)
 
     @jax.jit
     def measure(used: Any, clean: jax.Array, start: Any) -> dict[str, jax.Array]:
-        noisy = degrade(clean, start + jnp.arange(len(clean)))
+        noisy, clean = pairs(clean, start + jnp.arange(len(clean)))
         if config.light == "linear":
             noisy, clean = srgb_eotf(noisy), srgb_eotf(clean)
         output = nnx.merge(graph, *used)(noisy)
