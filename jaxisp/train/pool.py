@@ -11,7 +11,7 @@ from jaxisp.errors import InputError, one_line
 from jaxisp.io.files import atomic_write, output_folder, writing
 
 PART = 1024
-"""Pairs in a file."""
+"""Pairs in a file, rounded up to whole batches."""
 
 
 class PairPool:
@@ -23,7 +23,7 @@ class PairPool:
         count: pairs in all, rounded up to whole files.
         make: the (noisy, target) patches of indices, (N, size, size, 3) in [0, 1] each.
         seed: of order and turn.
-        batch: pairs that are made at once; it divides `PART`.
+        batch: pairs that are made at once.
         tick: called with (done, total, text).
 
     Raises:
@@ -38,21 +38,22 @@ class PairPool:
         make: Callable[[range], tuple[jax.Array, jax.Array]],
         *,
         seed: int = 0,
-        batch: int = 64,
+        batch: int = 32,
         tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
     ) -> None:
         output_folder(folder)
-        self.size, self.seed, self.count = size, seed, -(-count // PART) * PART
+        part = -(-PART // batch) * batch
+        self.size, self.seed, self.count, self._part = size, seed, -(-count // part) * part, part
         self._parts: list[np.ndarray] = []
-        for first in range(0, self.count, PART):
-            path = folder / f"{first // PART:05d}.npy"
+        for first in range(0, self.count, part):
+            path = folder / f"{first // part:05d}.npy"
             if not path.exists():
-                starts = range(first, first + PART, batch)
+                starts = range(first, first + part, batch)
                 made = np.concatenate([_levels(make(range(start, start + batch))) for start in starts])
                 with writing(path), atomic_write(path) as file:
                     np.save(file, made)
-            self._parts.append(_opened(path, (PART, 2, size, size, 3)))
-            tick(first + PART, self.count, "degrading")
+            self._parts.append(_opened(path, (part, 2, size, size, 3)))
+            tick(first + part, self.count, "degrading")
         self._epoch = (-1, np.zeros(0, np.int64))
 
     def __len__(self) -> int:
@@ -67,7 +68,7 @@ class PairPool:
         if self._epoch[0] != epoch:
             self._epoch = (epoch, np.random.default_rng((self.seed, 3, epoch)).permutation(self.count))
         slot = int(self._epoch[1][position])
-        pair = self._parts[slot // PART][slot % PART]
+        pair = self._parts[slot // self._part][slot % self._part]
         turn, flip = np.random.default_rng((self.seed, 4, slot, epoch)).integers(4), (slot + epoch) % 2
         pair = np.rot90(pair, int(turn), axes=(1, 2))
         return pair[:, :, ::-1] if flip else pair

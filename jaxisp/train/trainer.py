@@ -126,7 +126,8 @@ class _Run:
         self.source = CleanPatches(
             training, config.patch, per_image=config.per_image, seed=config.seed, fresh=config.fresh_crops
         )
-        self.validate = make_validation(self.model, recipe, config, held_out, self.mesh)
+        self.pairs = jax.jit(pair_maker(recipe, degrade_key(config.seed), config.target, self.mesh))
+        self.validate = make_validation(self.model, self.pairs, config, held_out, self.mesh)
         epoch_steps = max(1, len(self.source) // config.batch)
         optimizer = make_optimizer(config, epoch_steps)
         self.lr = schedule(config, epoch_steps)
@@ -162,17 +163,16 @@ class _Run:
         return self._finish(done)
 
     def _make_pool(self) -> PairPool:
-        config, mesh = self.config, self.mesh
         if jax.process_count() > 1:
             raise InputError("a pool is made and read by one process: leave it out with several")
-        pairs = jax.jit(pair_maker(self.recipe, degrade_key(config.seed), config.target, mesh))
+        config = self.config
 
         def make(indices: range) -> tuple[jax.Array, jax.Array]:
-            return pairs(spread(mesh, self.source, indices), indices.start + np.arange(len(indices)))
+            clean = spread(self.mesh, self.source, indices)
+            return self.pairs(clean, np.arange(indices.start, indices.stop, dtype=np.int32))
 
-        # some rows of a batch for each device
         return PairPool(
-            self.run / POOL, config.patch, config.pool, make, seed=config.seed, batch=64 * mesh.size,
+            self.run / POOL, config.patch, config.pool, make, seed=config.seed, batch=config.batch,
             tick=self.tick,
         )  # fmt: skip
 
