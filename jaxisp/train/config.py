@@ -96,6 +96,9 @@ class TrainConfig:
                       "checkpoint_every", "keep"):  # fmt: skip
             if getattr(self, field) < 1:
                 raise InputError(f"{field} = {getattr(self, field)}: expected at least 1")
+        # as TOML gives them back
+        options = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_options.items()}
+        object.__setattr__(self, "model_options", options)
         if not 0 < self.lr < 10:
             raise InputError(f"lr = {self.lr}: expected a learning rate above 0, as 1e-3")
         if not 0 <= self.ema < 1:
