@@ -92,7 +92,7 @@ def jpeg() -> Tiles:
 
 def camera_shake() -> Tiles:
     """A path of three segments; clipped highlights were brighter and draw streaks."""
-    light = scene("rocket", 160, (0.6, 0.9, 0.5))
+    light = scene("coffee", 160, (0.65, 0.75, 0.4))
     path = {"lengths": np.float32([6, 4, 5]), "directions": np.float32([20, -40, 70])}
     tiles = [light]
     for boost in (0.0, 20.0):
@@ -127,7 +127,7 @@ def denoising() -> Tiles:
 
 def exposure_and_tone() -> Tiles:
     """A dark picture: an s-curve, the paper's curve, and tones mapped locally."""
-    dark = photograph("rocket", window=(0.5, 0.8, 0.8)) * 0.7
+    dark = photograph("coffee", window=(0.5, 0.5, 0.8)) * 0.7
     tiles = [dark]
     for name in ("s_curve", "tone_curve", "local_tone_mapping"):
         tiles.append(jnp.clip(run(stage(name), stage(name).init(), dark), 0, 1))
@@ -146,12 +146,9 @@ def film_grain() -> Tiles:
 def gradients() -> Tiles:
     """Through demosaicking, filters and JPEG: how a loss on the file moves each photosite."""
     recipe, clean = jaxisp.recipes.phone(), photograph(size=96)
-    params = recipe.draw(jax.random.key(1))
-
-    def loss(x: jax.Array) -> jax.Array:
-        return ((run(recipe.chain, params, x, jax.random.key(1)) - clean) ** 2).sum()
-
-    found = jax.grad(loss)(clean)
+    key = jax.random.key(1)
+    params = recipe.draw(key)
+    found = jax.grad(lambda x: ((run(recipe.chain, params, x, key) - clean) ** 2).sum())(clean)
     return [clean, 0.5 + 0.5 * found / jnp.percentile(jnp.abs(found), 99)]
 
 
