@@ -21,9 +21,9 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     It has the energy that remains where what has changed from the first picture to the second is known. Both
     quantise the same coefficients, so that one that has hardly changed is mostly rounded alike. A change by a
     share t of a step, of a coefficient that is anywhere between two levels, moves it by a step with
-    probability t: the mean square move is t, and t (1 - t) of it is chance. So of each frequency, what remains
-    is its mean square move times the share p that stays, at least 1 - p of what two independent roundings
-    leave, and at most all of that.
+    probability t: the mean square move is t, and t (1 - t) of it is chance. So what remains of a frequency is
+    its mean square move times the share p that stays, at least 1 - p of what two independent roundings leave,
+    and at most all of that.
 
     Args:
         first, second: (N, H, W, 3) encoded, their 8x8 blocks at the top-left corner.
