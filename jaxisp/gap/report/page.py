@@ -392,8 +392,9 @@ def _refitted(moved: Mapping[str, Any] | None) -> str:
     before, after = moved["demosaicking"]
     other = "" if before == after else f", demosaicking from {before} to {after}"
     first, last = map(number, moved["error"])
+    tone, matrix = number(moved["tone_steps"]), number(moved["matrix"])
     return (
-        f"tone by up to {number(moved['tone_steps'])} steps, colour matrix by up to {number(moved['matrix'])}{other}; "
+        f"tone by up to {tone} steps, colour matrix by up to {matrix}{other}; "
         f"the error of the fitted pairs from {first} to {last}"
     )
 
