@@ -106,6 +106,8 @@ def _warn(report: dict[str, Any]) -> None:
         warn(f"{pair['name']}: left out: {pair['reason']}")
     for pair in report["pairs"].get("encoder_not_modelled", ()):
         warn(f"{pair['name']}: its JPEG encoder is not modelled: {pair['reason']}")
+    for pair in report["pairs"].get("raw_notes", ()):
+        warn(f"{pair['name']}: RAW: {'; '.join(pair['notes'])}")
 
 
 def _print(report: dict[str, Any]) -> None:

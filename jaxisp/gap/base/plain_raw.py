@@ -38,6 +38,13 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 from jaxisp.stages.optics import RectilinearWarp
 
+_NEAREST = 12
+"""Demosaickers, in either order with white balance, that are tried again beside each effect."""
+_PARTNERS, _SHARES = 3, (0.2, 0.35, 0.5)
+"""Algorithms that the best is mixed with, and their shares."""
+_MIXED = 0.97
+"""Share of the best algorithm's error that a mix must leave to be taken for it."""
+
 
 class Base(NamedTuple):
     """The base of RAW+JPEG pairs.
@@ -129,9 +136,10 @@ def _at_floor(
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
-    """Fit the base with the best demosaicker.
+    """Fit the base with the best demosaicker, or a mix of it with one of the next best.
 
-    White balance may come before or after it, and it may act on linear values or on their square roots.
+    White balance may come before or after it, and it may act on linear values or on their square roots. A mix
+    stands for a demosaicker that is not among these. It must lower the error clearly.
     """
     objective, own = PixelObjective.of(pairs).take(fit_on), model.take(fit_on)
     at = objective.at(own, np.zeros(len(model.coordinates)))
@@ -148,10 +156,17 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     rooted_best = min(of_roots) < ROOTED * min(errors)
     best, rival = (root, linear) if rooted_best else (linear, None)
     at = fit(objective, with_choice(best), model.base_indices, steps=4).point
+    ranked = [found[i] for i in np.argsort(errors)]
+    mixes = _mixes(best, ranked)
+    mixed = [objective.at(own.chosen(mix.take(fit_on)), at.z) for mix in mixes]
+    least = int(np.argmin([m.error for m in mixed]))
+    if mixed[least].error < _MIXED * at.error:
+        best = mixes[least]
+        at = fit(objective, mixed[least], model.base_indices, steps=2).point
     every = list(range(len(fit_on)))
     absorbed = absorbed_shares(objective, at.model.moved(at.z), model.shared, every)
     absorbed["demosaicking"] = 1 - min(errors) / max(errors)
-    return Base(model.chosen(best).moved(at.z), absorbed, [*found, root], rival)
+    return Base(model.chosen(best).moved(at.z), absorbed, [*ranked[:_NEAREST], root, best], rival)
 
 
 def choices(model: Model) -> list[Variant]:
@@ -166,6 +181,20 @@ def choices(model: Model) -> list[Variant]:
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
         for early, late in orders
     ]
+
+
+def _mixes(best: Variant, ranked: Sequence[Variant]) -> list[Variant]:
+    """The best choice with shares of the next best algorithms in place of a part of its own."""
+    own = np.asarray(best.shared["demosaicking"].shares)
+    others = dict.fromkeys(int(np.argmax(c.shared["demosaicking"].shares)) for c in ranked)
+    nearest = [k for k in others if not own[k]][:_PARTNERS]
+    alone = np.eye(len(own), dtype=np.float32)
+
+    def mixed(other: int, share: float) -> Variant:
+        shares = np.float32((1 - share) * own + share * alone[other])
+        return dataclasses.replace(best, shared=best.shared | {"demosaicking": Demosaicking(shares=shares)})
+
+    return [mixed(k, share) for k in nearest for share in _SHARES]
 
 
 def _on_roots(choice: Variant) -> Variant:

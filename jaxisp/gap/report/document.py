@@ -97,7 +97,8 @@ def report_of(
 
 
 def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
-    """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled."""
+    """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled; what
+    RAW files state that is not applied."""
     rows = {row["name"]: row for row in aligned.rows}
     return {
         "aligned": [row for name, row in rows.items() if name not in outliers],
@@ -109,6 +110,11 @@ def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
             {"name": pair.name, "reason": why}
             for pair in aligned.kept
             if pair.jpeg and (why := no_encoder(pair.jpeg))
+        ],
+        "raw_notes": [
+            {"name": pair.name, "notes": list(pair.raw.notes)}
+            for pair in aligned.kept
+            if pair.raw and pair.raw.notes
         ],
     }
 

@@ -362,6 +362,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     aside = [f["reason"] for f in pairs.get("failed", ())]
     aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
     unmodelled = (f"{p['name']}: {p['reason']}" for p in pairs.get("encoder_not_modelled", ()))
+    noted = (f"{p['name']}: {'; '.join(p['notes'])}" for p in pairs.get("raw_notes", ()))
     moved = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
     placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in moved)
     rows = [
@@ -380,6 +381,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("left aside", "; ".join(aside)),
         ("JPEG encoder not modelled", "; ".join(unmodelled)),
+        ("about the RAW files", "; ".join(noted)),
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]
