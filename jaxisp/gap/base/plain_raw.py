@@ -33,7 +33,7 @@ from jaxisp.gap.simulator.model import (
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
-from jaxisp.pipeline import run, stage
+from jaxisp.pipeline import Chain, Params, run, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 from jaxisp.stages.optics import RectilinearWarp
@@ -73,19 +73,9 @@ def raw_model(
     criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Base:
     """Fit the plain camera to RAW+JPEG pairs, with the best demosaicker; see `fit_base`."""
-    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
-    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    raws, cfa = raws_of(loaded)
     gains, matrix, usual = _start(raws, pairs, cfa)
-    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
-    per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
-    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
-    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
-    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
-    warped = any(w is not None for w in warps)
-    if warped:
-        own = [w or RectilinearWarp() for w in warps]
-        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
-    chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
+    chain, params, per_pair = plain_parts(loaded, pairs, gains)
 
     def fitted(matrix: np.ndarray, free: Sequence[Coordinate]) -> Base:
         start = params | {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
@@ -97,6 +87,39 @@ def raw_model(
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
     absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
+
+
+def plain_parts(loaded: Sequence[Loaded], pairs: Pairs, gains: np.ndarray) -> tuple[Chain, Params, Params]:
+    """The plain camera of RAW+JPEG pairs before it is fitted, with what their files state.
+
+    Args:
+        loaded: the pairs.
+        pairs: the same, cropped alike.
+        gains: (N, 3) white-balance gains; they come before demosaicking.
+
+    Returns:
+        the chain; its parameters; those of each pair.
+    """
+    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
+    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
+    per_pair: Params = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
+    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
+    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
+    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
+    warped = any(w is not None for w in warps)
+    if warped:
+        own = [w or RectilinearWarp() for w in warps]
+        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
+    return (*plain_camera(cfa, subsampling=sampling, warped=warped), per_pair)
+
+
+def stated_gains(raws: Sequence[Raw]) -> np.ndarray | None:
+    """(N, 3) white-balance gains that RAW files state, of those that are balanced already ones; None where
+    they state none."""
+    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
+    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    return None if silent else gains
 
 
 def _at_floor(
@@ -190,15 +213,15 @@ def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.
         else None. A matrix fitted to the noise of grey scenes would imitate effects that reduce this noise,
         such as compression.
     """
-    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
-    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    stated = stated_gains(raws)
+    gains = np.ones((len(raws), 3)) if stated is None else stated
     light, linear = _balanced(pairs, cfa, gains), srgb_to_linear(pairs.pictures)
     grey = is_colourless(light, pairs.mask)
 
     def shade(pixels: np.ndarray) -> np.ndarray:
         return np.asarray(pixels[pairs.mask].mean(0))
 
-    if silent:
+    if stated is None:
         if grey:
             white = shade(light) / shade(linear)
         else:  # from the matrix

@@ -19,6 +19,8 @@ from jaxisp.stages.smoothing import CHROMA_FILTERS, LUMA_FILTERS
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
 BOTH = (RAW_JPEG, CLEAN_NOISY)
+JPEG_JPEG = "jpeg+jpeg"
+"""Two pictures of a scene: they show what RAW+JPEG pairs do, but for effects of the mosaic."""
 
 AXES = (
     "radius", "row", "column", "intensity", "hue", "saturation", "channel", "frequency", "orientation",
