@@ -240,7 +240,7 @@ def taken(
     who: str, key: jax.Array, images: ArrayLike, start: Any, domain: Domain = ENCODED
 ) -> tuple[jax.Array, jax.Array, Any]:
     """Key, images and start as they are computed with, checked as far as the host knows them."""
-    shape, dtype = jnp.shape(images), getattr(images, "dtype", None)
+    shape, dtype = np.shape(images), getattr(images, "dtype", None)
     if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
         got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
