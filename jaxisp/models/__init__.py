@@ -19,11 +19,13 @@ from jaxisp.models.levels import LevelNet
 from jaxisp.models.n3net import N3Net
 from jaxisp.models.nafnet import NAFNet
 from jaxisp.models.unet import UNet
+from jaxisp.models.weighing import WeighNet
 
 MODELS: dict[str, Callable[..., nnx.Module]] = {
     "fast": FastNet,
     "unet": UNet,
     "levelnet": LevelNet,
+    "weighnet": WeighNet,
     "dncnn6": functools.partial(DnCNN, depth=6),
     "dncnn17": DnCNN,
     "ffdnet": FFDNet,
@@ -92,6 +94,7 @@ __all__ = [
     "N3Net",
     "NAFNet",
     "UNet",
+    "WeighNet",
     "count_parameters",
     "denoise",
     "load_weights",
