@@ -24,9 +24,7 @@ def test_what_is_inserted_is_found_and_what_is_frozen_stays(folder, result):
     given, camera = example(folder), result.camera.without("jpeg_tables")
     turned = camera.insert(stage("hue_rotation"), after="zone_curve").override(hue_rotation={"angle": 20.0})
     pair = dataclasses.replace(given, picture=develop(given.raw, turned), jpeg=None)
-    found = fit_examples(
-        [pair], steps=8, start=camera, freeze=HELD, insert=["hue_rotation"], median="none"
-    )
+    found = fit_examples([pair], steps=8, start=camera, freeze=HELD, insert=["hue_rotation"], median="none")
     prior = found.camera.prior
     assert float(prior["hue_rotation"].angle) == pytest.approx(20, abs=0.5)
     assert found.pairs[0].held_out_psnr > 40
