@@ -69,7 +69,7 @@ def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
     arrays, about = read_arrays(path)
     if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
         raise InputError(f"{path}: does not say which network it holds")
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
     model = make_model(about["model"], **options)
     fill(model, arrays, path)
     return model, about

@@ -63,7 +63,7 @@ def clean_case_on_reference(
     same = _same_scenes(own, theirs)
     pairs = _exposed(own, fitted, same)
     model = _taken_over(fitted.case.point.model, exclude)
-    place, seen = (0, 0), ()
+    place, seen = (0, 0), tuple[str, ...]()
     if "double_compression" in model.effects:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])
         model = with_earlier_grid(model, place)
