@@ -63,8 +63,7 @@ def denoise(model: nnx.Module, image: Any, *, tile: int | None = None, strength:
 
         def apply(part: np.ndarray, y: int = 0, x: int = 0) -> Any:
             rows, columns = (
-                slice(start // cell, -(-(start + n) // cell))
-                for start, n in zip((y, x), part.shape)
+                slice(start // cell, -(-(start + n) // cell)) for start, n in zip((y, x), part.shape)
             )
             return _apply_told(graph, state, part, levels[rows, columns])
     else:

@@ -44,7 +44,8 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     chance = np.maximum((change**2 * moved).mean((0, 1, 3)) * stay, (1 - stay) * both)
     left = np.minimum(chance / both, 1)
     shaped = idctn(whole * np.sqrt(left)[:, None], axes=(2, 4), norm="ortho")
-    rows, columns = (side // 8 * 8 for side in total.shape[1:3])
+    height, width = map(int, np.shape(total)[1:3])
+    rows, columns = height // 8 * 8, width // 8 * 8
     total[:, :rows, :columns] = shaped.reshape(len(total), rows, columns, 3)
     return total
 
