@@ -241,9 +241,9 @@ def taken(
     who: str, key: jax.Array, images: ArrayLike, start: Any, domain: Domain = ENCODED
 ) -> tuple[jax.Array, jax.Array, Any]:
     """Key, images and start as they are computed with, checked as far as the host knows them."""
-    shape = jnp.shape(images)
-    if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-        got = f"{jnp.result_type(images)}{shape}"
+    shape, dtype = np.shape(images), getattr(images, "dtype", None)
+    if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
+        got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
     if not isinstance(key, jax.Array | np.ndarray):
         raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
@@ -267,7 +267,8 @@ def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
             if bool(_within(images, darkest, brightest)):
                 return
     given = np.asarray(images)
-    low, high = float(given.min()), float(given.max())  # NaN where one is
+    with np.errstate(invalid="ignore"):  # NumPy warns of NaN in bfloat16
+        low, high = float(given.min()), float(given.max())  # NaN where one is
     if low >= darkest and high <= brightest:
         return
     if not np.isfinite(low + high):

@@ -12,10 +12,11 @@ from experiments.third_party.cameras import SENSORS, frames, noise, tuning
 from experiments.third_party.cases import CONVERTERS, Case, cases
 from experiments.third_party.chance import HALVES
 from experiments.third_party.pictures import apart, write_hald
+from experiments.third_party.run import PICTURES, possible, two_pictures
 from experiments.third_party.switches import NONE, OUTSIDE
 from experiments.third_party.tables import first, groups, markdown, ranked, size, summary, surely_named
 from jaxisp.gap import EFFECTS
-from jaxisp.io import read_raw
+from jaxisp.io import open_dataset, read_raw
 
 
 def test_halves_share_no_camera_with_its_switch():
@@ -163,3 +164,19 @@ def test_answers_are_counted_with_all_cases():
     assert summary(every)["effects, all"]["truth named first"] == 2
     text = markdown(every)
     assert "50%" in text and "(2/4)" in text and "ValueError()" in text
+
+
+def test_a_case_is_laid_out_as_two_pictures(tmp_path):
+    off, on, out = (tmp_path / name for name in ("off", "on", "out"))
+    for folder, value in ((off, 90), (on, 120), (out, 0)):
+        folder.mkdir()
+        if value:
+            for name in ("s0", "s1"):
+                cv2.imwrite(str(folder / f"{name}.jpg"), np.full((64, 64, 3), value, np.uint8))
+    two_pictures(on, off, out)
+    data = open_dataset(out)
+    assert data.kind == "jpeg+jpeg" and [p.name for p in data.pairs] == ["s0", "s1"]
+    first = data.pairs[0].load()
+    assert first.clean.mean() < first.picture.mean() and possible(on, PICTURES)
+    (on / "s0.jpg").unlink(), (on / "s1.jpg").unlink()
+    assert not possible(on, PICTURES) and possible(on, "pairs")

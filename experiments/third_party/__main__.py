@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from .chance import HALVES
+from .run import HOW, records, run
 
 
 def parse() -> argparse.Namespace:
@@ -17,13 +18,15 @@ def parse() -> argparse.Namespace:
     make.add_argument("--size", type=int, default=224, help="of a scene, px a side")
     make.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4, 5], help="strengths")
     make.add_argument("--match", default="", help="a regular expression that a case's name has")
-    run = commands.add_parser("run", help="diagnose every case of a folder")
-    run.add_argument("cases", type=Path)
-    run.add_argument("-o", "--out", type=Path, required=True, help="gets a JSON file a case")
-    run.add_argument("--match", default="")
-    run.add_argument("--limit", type=int)
-    run.add_argument("--reference", action="store_true", help="give each camera's plain profile as reference")
-    run.add_argument("--json", action="store_true", help="print counts as JSON at the end")
+    runs = commands.add_parser("run", help="diagnose every case of a folder")
+    runs.add_argument("cases", type=Path)
+    runs.add_argument("-o", "--out", type=Path, required=True, help="gets a JSON file a case")
+    runs.add_argument("--match", default="")
+    runs.add_argument("--limit", type=int)
+    runs.add_argument(
+        "--how", choices=HOW, default=HOW[0], help="pairs alone, beside a reference, or as two pictures"
+    )
+    runs.add_argument("--json", action="store_true", help="print counts as JSON at the end")
     table = commands.add_parser("table", help="Markdown tables of a run")
     table.add_argument("out", type=Path, help="what `run` wrote")
     return parser.parse_args()
@@ -36,15 +39,12 @@ def main() -> None:
 
         make(arguments.data, arguments.out, arguments.half, arguments.size, arguments.match, arguments.levels)
         return
-    from .run import records, run
     from .tables import markdown, summary
 
     if arguments.command == "table":
         print(markdown(records(arguments.out)))
         return
-    found = run(
-        arguments.cases, arguments.out, arguments.match, reference=arguments.reference, limit=arguments.limit
-    )
+    found = run(arguments.cases, arguments.out, arguments.match, arguments.how, arguments.limit)
     if arguments.json:
         print(json.dumps(summary(found)))
 

@@ -114,8 +114,13 @@ def _print(report: dict[str, Any]) -> None:
     from jaxisp.gap.report.page import next_measurements, sentence, unexplained
 
     gap, left = report["gap"], unexplained(report)
+    beside = f"; the reference's gap {gap['reference']:.3g}" if "reference" in gap else ""
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
+    say(
+        f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}"
+        + beside
+        + f"; {left}" * bool(left)
+    )
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")

@@ -64,11 +64,11 @@ def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
     _add_pairs(page, result, most)
     if said := doubts(result):
         page.heading("What not to rely on", said)
-    said = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]
-    said += [(name, reason) for name, reason in result.failed]
-    if said:
+    told = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]
+    told += [(name, reason) for name, reason in result.failed]
+    if told:
         page.heading("What to know about pairs", "")
-        page.table(("pair", "what"), said)
+        page.table(("pair", "what"), told)
     _add_noise(page, result)
     _add_choices(page, result)
     _add_camera(page, result)

@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxisp.errors import InputError
 from jaxisp.gap.base.clean_noisy import clean_case
+from jaxisp.gap.base.clean_reference import clean_case_on_reference
 from jaxisp.gap.base.raw_jpeg import raw_case
 from jaxisp.gap.base.two_jpegs import jpeg_case
 from jaxisp.gap.case import Case, Tick
@@ -169,6 +170,8 @@ def _with_base(
         return raw_case(loaded, camera, exclude, tick, criteria=criteria, reference=others)
     if kind == JPEG_JPEG:
         return jpeg_case(loaded, exclude, tick, criteria=criteria)
+    if reference is not None:
+        return clean_case_on_reference(loaded, _doubled(reference), exclude, seed, tick, criteria=criteria)
     uncertain = [row["name"] for row in aligned.rows if not row["certain"]]
     simulator, is_camera = camera or recipe, camera is not None
     return clean_case(

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,7 +10,7 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.plain_raw import Base, plain_parts
-from jaxisp.gap.base.reference import stored_twice, taken_over
+from jaxisp.gap.base.reference import taken_over
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import build, plain_freedom
@@ -98,19 +97,6 @@ def test_another_pattern_is_another_camera(sets):
     turned = [dataclasses.replace(p, raw=dataclasses.replace(p.raw, cfa="BGGR")) for p in theirs]
     with pytest.raises(InputError, match="colour filter array"):
         taken_over(loaded, raw_pairs(loaded), turned, raw_pairs(turned), None, ALL)
-
-
-def test_two_compressions_add_up():
-    """Without a file, twice the variance of rounding; beside it none of a picture of whole levels."""
-    rng = np.random.default_rng(0)
-    rough = jnp.asarray(rng.uniform(0.2, 0.8, (1, 64, 64, 3)), jnp.float32)
-    twice = stored_twice(np.asarray(rough), ([None], [None]))
-    once = 255 * (np.round(255 * np.asarray(rough)) / 255 - np.asarray(rough))
-    assert np.mean(twice[..., 0] ** 2) == pytest.approx(
-        4 * np.mean((once @ [0.299, 0.587, 0.114]) ** 2), rel=0.1
-    )
-    whole = np.round(255 * np.asarray(rough)) / 255
-    assert np.abs(stored_twice(whole, ([None], [None]))).max() < 1e-3
 
 
 def test_a_reference_of_another_kind_is_refused(sets, tmp_path):

@@ -58,8 +58,10 @@ def test_what_changed_is_named(tmp_path, effect, change):
 
 def test_the_same_picture_twice_has_no_gap(tmp_path):
     folder = write(tmp_path, lambda p: p, quality=(92, 92))
-    report = diagnose(folder, exclude=sorted(set(EFFECTS) - {"sharpening"})).report
+    found = diagnose(folder, exclude=sorted(set(EFFECTS) - {"sharpening"}))
+    report = found.report
     keeps_the_schema(report)
+    assert "pairs of two JPEGs" in found.save(tmp_path / "out").read_text()
     assert report["verdict"] == "none" and report["kind"] == "jpeg+jpeg" and report["gap"]["before"] < 0.01
 
 

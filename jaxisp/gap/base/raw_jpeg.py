@@ -12,7 +12,7 @@ from jaxisp.errors import InputError
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
 from jaxisp.gap.base.plain_raw import Base, raw_model
-from jaxisp.gap.base.reference import OnReference, on_reference, stored_twice
+from jaxisp.gap.base.reference import OnReference, on_reference
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
@@ -22,6 +22,7 @@ from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
 from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build, is_file
@@ -176,7 +177,7 @@ def _floors(
         (N, h, w, 3) what the files do to the pictures; (N,) the gap of each pair; the gap of the reference.
     """
     if taken is not None and taken.same is not None:
-        stored = stored_twice(taken.same, (taken.files, files))
+        stored = stored_twice(taken.same, objective.pairs.pictures, (taken.files, files))
         floors = objective.mean_squares(stored * objective.weight)
         return stored, floors, float(floors[list(objective.split.held_out)].mean())
     stored = objective.floor_difference(at, files)

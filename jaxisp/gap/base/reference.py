@@ -18,9 +18,8 @@ from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.headers import raws_of
-from jaxisp.gap.pairs.pairs import INNER, Pairs, to_steps
+from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import split_of
-from jaxisp.gap.pairs.stored import as_stored
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Model, build
 from jaxisp.gap.simulator.remainder import REMAINDER, Remainder, with_remainder
@@ -29,9 +28,6 @@ from jaxisp.io import Jpeg
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import WhiteBalance
-
-_OFF_GRID = ((3, 3), (5, 5))
-"""Rows and columns by which a picture is moved before it is compressed: on its own grid nothing is lost."""
 
 
 class OnReference(NamedTuple):
@@ -159,19 +155,3 @@ def _gap(model: Model, pairs: Pairs) -> float:
     objective, z = PixelObjective.of(pairs, split), np.zeros(len(model.coordinates))
     objective = objective.robust(objective.at(model, z))
     return float(objective.at(model, z).errors[list(split.held_out)].mean())
-
-
-def stored_twice(pictures: np.ndarray, files: Sequence[Sequence[Jpeg | None]]) -> np.ndarray:
-    """(N, h, w, 3) what two compressions do that are independent of each other, in steps, its border cut off.
-
-    Args:
-        pictures: (N, H, W, 3) encoded.
-        files: for each of the two, the headers of the N files.
-    """
-    total = np.zeros(pictures[INNER].shape, np.float32)
-    for own, (y, x) in zip(files, _OFF_GRID):
-        moved = np.roll(pictures, (y, x), (1, 2))
-        stored = np.stack([as_stored(p, f) for p, f in zip(moved, own)])
-        back = np.roll(stored, (-y, -x), (1, 2))
-        total += to_steps(back[INNER]) - to_steps(pictures[INNER])
-    return total

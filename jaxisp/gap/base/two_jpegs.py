@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.color import linear_to_srgb
-from jaxisp.gap.base.reference import stored_twice
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
@@ -21,6 +20,7 @@ from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import stated_by
 from jaxisp.gap.pairs.pairs import Pairs, to_steps
 from jaxisp.gap.pairs.scenes import split_of
+from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.gap.simulator.choices import with_earlier_grid
 from jaxisp.gap.simulator.effects import JPEG_JPEG, RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build
@@ -68,7 +68,7 @@ def jpeg_case(
     objective = dataclasses.replace(objective, references=references, earlier=place)
     z = np.zeros(len(model.coordinates))
     at = objective.at(model, z)
-    stored = stored_twice(firsts, files)
+    stored = stored_twice(firsts, pairs.pictures, files)
     stated = stated_by(second)
     return Case(
         kind=JPEG_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
