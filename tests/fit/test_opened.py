@@ -12,6 +12,7 @@ from jaxisp.fit import fit_examples, model, prior_from_cameras
 from jaxisp.pipeline import stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import phone
+from jaxisp.stages.balance import Saturation
 from tests.fit.conftest import example
 
 HELD = ("tone", "colour", "bilateral", "unsharp_mask", "vignetting", "lateral_chromatic_aberration",
@@ -39,10 +40,14 @@ def test_what_is_inserted_is_found_and_what_is_frozen_stays(folder, result):
     assert "hue_rotation" not in prior_from_cameras([found.camera]).prior
 
 
-def test_a_camera_gives_its_choices_and_parameters(result):
-    choices, params = model.of_camera(result.camera)
-    assert choices["demosaic"] == "demosaic_malvar" and choices["median"] is None
-    assert set(params) <= set(model.start()) and "color_matrix" in params
+def test_a_camera_gives_its_choices_and_parameters():
+    design = model.Design("demosaic_ahd", passes=2, median="3x3", lens=True)
+    camera = Recipe(model.camera("RGGB", design), {"saturation": Saturation(amount=1.3)})
+    choices, params = model.of_camera(camera)
+    assert choices == {"demosaic": "demosaic_ahd", "passes": 2, "median": "3x3", "lens": True}
+    assert float(params["saturation"].amount) == 1.3 and set(params) <= set(model.start())
+    plain, _ = model.of_camera(Recipe(model.camera("RGGB", model.Design()), {}))
+    assert plain == {"demosaic": model.DEMOSAICKERS[0], "passes": 0, "median": None, "lens": False}
     with pytest.raises(InputError, match="no camera from `jaxisp fit`"):
         model.of_camera(phone())
 
