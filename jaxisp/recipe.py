@@ -207,10 +207,11 @@ class Recipe:
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """Read a recipe. Raises InputError that names `source` and what is wrong."""
-        return cls._from_table(parse_toml(text, source), source)
+        return cls.from_table(parse_toml(text, source), source)
 
     @classmethod
-    def _from_table(cls, table: dict[str, Any], source: str) -> "Recipe":
+    def from_table(cls, table: dict[str, Any], source: str = "recipe") -> "Recipe":
+        """Read a recipe that stands in a larger TOML file. Raises what `from_toml` does."""
         try:
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
@@ -233,16 +234,16 @@ class Recipe:
     @classmethod
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
-        return cls._from_table(read_toml(path), str(path))
+        return cls.from_table(read_toml(path), str(path))
 
 
 def taken(
     who: str, key: jax.Array, images: ArrayLike, start: Any, domain: Domain = ENCODED
 ) -> tuple[jax.Array, jax.Array, Any]:
     """Key, images and start as they are computed with, checked as far as the host knows them."""
-    shape = jnp.shape(images)
-    if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-        got = f"{jnp.result_type(images)}{shape}"
+    shape, dtype = np.shape(images), getattr(images, "dtype", None)
+    if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
+        got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
     if not isinstance(key, jax.Array | np.ndarray):
         raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
@@ -266,7 +267,8 @@ def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
             if bool(_within(images, darkest, brightest)):
                 return
     given = np.asarray(images)
-    low, high = float(given.min()), float(given.max())  # NaN where one is
+    with np.errstate(invalid="ignore"):  # NumPy warns of NaN in bfloat16
+        low, high = float(given.min()), float(given.max())  # NaN where one is
     if low >= darkest and high <= brightest:
         return
     if not np.isfinite(low + high):

@@ -19,7 +19,7 @@ import pytest
 
 import jaxisp
 from benchmarks import accelerator_report, report, stages_report, training
-from experiments import evaluation, raw_noise, readme_table, real_data, real_gap_tables
+from experiments import evaluation, gallery, raw_noise, readme_table, real_data, real_gap_tables
 from experiments.denoisers import report as denoisers
 from experiments.fit_phones import __main__ as fit_phones
 from jaxisp.gap import EFFECTS
@@ -272,3 +272,18 @@ def test_the_page_on_composing_runs():
     for code in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(code, names)
     assert set(names["names"]) <= {"awgn", "amwgn", "clean"}
+
+
+def test_the_gallery_is_what_its_command_writes():
+    """The page holds the lines that make each picture; there are twelve, of ten lines or a few more."""
+    assert Path("docs/gallery.md") == gallery.PAGE and (ROOT / gallery.PAGE).read_text() == gallery.page()
+    assert len(gallery.PICTURES_OF) == 12
+    for name, make in gallery.PICTURES_OF.items():
+        assert (ROOT / gallery.PICTURES / f"{name}.jpg").stat().st_size < 200_000
+        assert len(inspect.getsource(make).splitlines()) <= 15, name
+
+
+def test_a_picture_of_the_gallery_is_made():
+    tiles = gallery.PICTURES_OF["film_grain"]()
+    row = gallery.picture(tiles)
+    assert row.size == (3 * tiles[0].shape[1] + 2 * gallery.GAP, tiles[0].shape[0])

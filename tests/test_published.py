@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage, stats
 
+import jaxisp
 from jaxisp.errors import InputError
 from jaxisp.pipeline import Chain, run, stage
-from jaxisp.published import LOW_LIGHT, PUBLISHED, cbdnet, low_light, rsblur, unprocessing
+from jaxisp.published import LOW_LIGHT, PUBLISHED, bsrgan, cbdnet, darmstadt, low_light, rsblur, unprocessing
 from jaxisp.recipe import Recipe, check_photographs, check_traces
 from jaxisp.stages.blur import AnisotropicBlur, IsotropicBlur
 from jaxisp.stages.noise import LowLightNoise, ShotReadLaw
@@ -29,6 +30,11 @@ def test_each_is_a_recipe_for_photographs_and_reads_back(name):
     check_photographs(recipe)
     check_traces(recipe)
     assert Recipe.from_toml(recipe.to_toml()) == recipe
+
+
+def test_they_are_found_where_the_other_recipes_are():
+    for make in (bsrgan, cbdnet, darmstadt, low_light, rsblur, unprocessing):
+        assert getattr(jaxisp.recipes, make.__name__) is make
 
 
 def unprocessed(image, weights, red, blue, dimming, preserve=True):

@@ -155,7 +155,9 @@ def test_a_broken_recipe_is_refused(text, message):
     assert str(caught.value).startswith("r.toml: ")
 
 
-@pytest.mark.parametrize("images", [np.zeros((8, 8, 3), np.float32), np.zeros((1, 8, 8, 3), np.uint8)])
+@pytest.mark.parametrize(
+    "images", [np.zeros((8, 8, 3), np.float32), np.zeros((1, 8, 8, 3), np.uint8), [[[[0.5] * 3] * 8] * 8]]
+)
 def test_wrong_images_are_refused(images):
     with pytest.raises(TypeError, match="'awgn' takes"):
         RECIPES["awgn"]().degrade(KEY, images)

@@ -168,7 +168,7 @@ def read_stacks(paths: Iterable[Path], tick: Tick, what: str) -> list[Stack]:
     """
     files, stacks = list(paths), list[Stack]()
     for index, path in enumerate(files):
-        tick(index, len(files), f"{what} {path.name}")
+        tick(index, len(files), f"{what} frames")
         raw = read_raw(path)
         _check(raw, stacks)
         stem = path.name[: -len(".raw.npy")] if path.name.lower().endswith(".raw.npy") else path.stem

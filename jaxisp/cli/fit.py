@@ -22,6 +22,11 @@ from jaxisp.cli.devices import add_devices, join, use_cores
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "fit", run, "fit a camera to RAW+JPEG pairs")
+    command.epilog = (
+        "files of DATASET belong together by their names: NAME.dng (or another RAW, or NAME.raw.npy) beside "
+        "NAME.jpg (or NAME.png); a RAW that embeds its full-size JPEG may stand alone. dataset.toml, if any, "
+        "states what the files do not: camera, iso, [raw] of NAME.raw.npy"
+    )
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG pairs")
     command.add_argument("-o", "--out", required=True, metavar="CAMERA.toml")
     command.add_argument(
@@ -52,6 +57,23 @@ def add_commands(commands: Any) -> None:
         default=[],
         metavar="NAMES",
         help="comma-separated parameters to fit for each image: stages, stage.field, tone, colour",
+    )
+    command.add_argument(
+        "--start", metavar="CAMERA.toml", help="go on from a camera that an earlier fit wrote"
+    )
+    for name, what in (
+        ("freeze", "stay where they start"),
+        ("free", "are fitted though they are frozen by default (exposure, unsharp_mask.threshold, ...)"),
+    ):
+        command.add_argument(
+            f"--{name}", type=names, default=[], metavar="NAMES", help=f"parameters that {what}"
+        )
+    command.add_argument(
+        "--insert",
+        type=names,
+        default=[],
+        metavar="STAGES",
+        help="stages to fit beside the others: STAGE, after the tone curve, or STAGE@NAME, after another",
     )
     command.add_argument(
         "--recipe", metavar="OUT.toml", help="also write a recipe of this camera for `jaxisp degrade`"
@@ -116,10 +138,11 @@ def _places(arguments: Namespace) -> Iterator[None]:
     from jaxisp.io.files import filled_file
 
     with ExitStack() as stack:
-        settings = Path(arguments.dataset, "dataset.toml")
-        stack.enter_context(filled_file(arguments.out, [settings]))
+        inputs = [Path(arguments.dataset, "dataset.toml")]
+        inputs += [Path(given) for given in (arguments.start, arguments.noise) if given]
+        stack.enter_context(filled_file(arguments.out, inputs))
         if arguments.recipe:
-            stack.enter_context(filled_file(arguments.recipe, [settings, arguments.out]))
+            stack.enter_context(filled_file(arguments.recipe, [*inputs, arguments.out]))
         if arguments.report:
             output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
         yield
@@ -138,6 +161,10 @@ def _fitted(arguments: Namespace) -> Any:
             starts=arguments.starts,
             hold_out=arguments.hold_out,
             per_image=arguments.per_image,
+            start=arguments.start,
+            freeze=arguments.freeze,
+            free=arguments.free,
+            insert=arguments.insert,
             noise=arguments.noise,
             journal=beside(arguments.out),
             mesh=_mesh(bool(arguments.cpu_devices)),

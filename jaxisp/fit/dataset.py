@@ -1,17 +1,20 @@
 """Fit a camera to a folder of RAW+JPEG pairs."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jax.sharding import Mesh
 
 from jaxisp.calibrate import Calibrated, Noise
 from jaxisp.errors import InputError
-from jaxisp.fit.fitter import fit_examples
+from jaxisp.fit.fitter import HOLD_OUT, STEPS, fit_examples
 from jaxisp.fit.pair import Example
 from jaxisp.fit.result import FitResult
+from jaxisp.fit.search import Tick
 from jaxisp.io import Jpeg, Pair, Raw, open_dataset
+from jaxisp.recipe import Recipe
 
 
 class _Lazy:
@@ -40,14 +43,31 @@ def _as_stored(jpeg: Jpeg, picture: np.ndarray) -> bool:
 
 
 def fit_dataset(
-    folder: str | Path, *, noise: Calibrated | str | Path | None = None, **options: Any
+    folder: str | Path,
+    *,
+    start: Recipe | str | Path | None = None,
+    freeze: Sequence[str] = (),
+    free: Sequence[str] = (),
+    insert: Sequence[str] = (),
+    per_image: Sequence[str] = (),
+    noise: Calibrated | str | Path | None = None,
+    steps: int = STEPS,
+    demosaic: str = "auto",
+    median: str = "auto",
+    place: str = "camera",
+    starts: int = 1,
+    hold_out: str = HOLD_OUT[0],
+    journal: str | Path | None = None,
+    mesh: Mesh | None = None,
+    tick: Tick = lambda done, total, text: None,
 ) -> FitResult:
     """Fit one camera to every readable pair of a folder.
 
     Args:
         folder: a data set of RAW+JPEG pairs.
         noise: of the sensor, as `jaxisp calibrate` measured it, in the place of what the RAWs state or show.
-        **options: those of `jaxisp.fit.fit_examples`.
+        start, freeze, free, insert, per_image: as those of `jaxisp.fit.fit_examples`, and so are
+        steps, demosaic, median, place, starts, hold_out, journal, mesh, tick.
 
     Returns:
         the fit; pairs that could not be read or aligned are in `failed`.
@@ -59,7 +79,23 @@ def fit_dataset(
     dataset = open_dataset(folder, kind="raw+jpeg")
     failed = [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
     try:
-        result = fit_examples([_Lazy(pair, known) for pair in dataset.pairs], **options)
+        result = fit_examples(
+            [_Lazy(pair, known) for pair in dataset.pairs],
+            start=start,
+            freeze=freeze,
+            free=free,
+            insert=insert,
+            per_image=per_image,
+            steps=steps,
+            demosaic=demosaic,
+            median=median,
+            place=place,
+            starts=starts,
+            hold_out=hold_out,
+            journal=journal,
+            mesh=mesh,
+            tick=tick,
+        )
     except InputError as error:
         raise InputError("; ".join([str(error), *(reason for _, reason in failed)])) from None
     result.failed.extend(failed)

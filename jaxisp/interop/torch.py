@@ -41,7 +41,7 @@ def from_torch(images: torch.Tensor) -> jax.Array:
     return jax.dlpack.from_dlpack(images.detach().permute(0, 2, 3, 1).contiguous())
 
 
-class DegradedBatches(IterableDataset):  # type: ignore[type-arg]
+class DegradedBatches(IterableDataset):  # type: ignore[misc, type-arg, unused-ignore]
     """(noisy, clean) tensors without end, cut and degraded ahead in the main process; see
     `jaxisp.data.Batches`.
 
@@ -68,7 +68,7 @@ class DegradedBatches(IterableDataset):  # type: ignore[type-arg]
                 yield to_torch(noisy), to_torch(clean)
 
 
-class CleanDataset(Dataset):  # type: ignore[type-arg]
+class CleanDataset(Dataset):  # type: ignore[misc, type-arg, unused-ignore]
     """Clean patches with their global indices: {"clean": (3, size, size) float32, "index"}. Runs no JAX.
 
     Args:
@@ -90,7 +90,7 @@ class CleanDataset(Dataset):  # type: ignore[type-arg]
         return {"clean": torch.from_numpy(patch).permute(2, 0, 1), "index": self.start + index}
 
 
-def loader(dataset: CleanDataset, **options: Any) -> DataLoader:  # type: ignore[type-arg]
+def loader(dataset: CleanDataset, **options: Any) -> Any:
     """A `DataLoader` whose workers, if any, are spawned: a fork of a process that runs JAX may hang."""
     if options.get("num_workers"):
         options = {"multiprocessing_context": "spawn", "persistent_workers": True} | options

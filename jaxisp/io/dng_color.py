@@ -60,7 +60,7 @@ def _forward(tags: DngTags, slots: list[int]) -> list[np.ndarray | None] | None:
 def _camera(tags: DngTags, index: int, tell: Tell) -> np.ndarray:
     """CameraCalibration counts only beside a profile for which it was made."""
     matrix = tags.matrix(tag.CALIBRATIONS[index])
-    ours, theirs = (tags.get(c) or "" for c in (tag.CALIBRATION_SIGNATURE, tag.PROFILE_SIGNATURE))
+    ours, theirs = (tags.get(c) or b"" for c in (tag.CALIBRATION_SIGNATURE, tag.PROFILE_SIGNATURE))
     if matrix is None or np.array_equal(matrix, np.eye(3)):
         return np.eye(3)
     if ours != theirs:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxisp.errors import InputError
 from jaxisp.io import tags as tag
 from jaxisp.io.dng_color import Tell
-from jaxisp.io.exif import iso_of
+from jaxisp.io.exif import iso_of, text_of
 from jaxisp.io.opcodes import Opcode, WarpRectilinear, check_gains, parse_opcodes, shades
 from jaxisp.io.tags import DngTags
 
@@ -114,6 +114,7 @@ _HINTS = (
     (tag.LINEAR_LIMIT, "LinearResponseLimit", 1),
     (tag.SHADOW_SCALE, "ShadowScale", 1),
     (tag.BLACK_RENDER, "DefaultBlackRender", 1),  # 0: a black point that the reader finds
+    (tag.BEST_SCALE, "BestQualityScale", 1),
 )
 
 
@@ -164,8 +165,8 @@ def header(tags: DngTags) -> dict[str, Any]:
         "orientation": orientation if 1 <= orientation <= 8 else 1,
         "iso": iso_of({**tags.main, **tags.raw}) or iso_of(tags.exif),
         "exposure_time": _seconds(tags),
-        "make": str(tags.main.get(tag.MAKE, "")).strip(),
-        "model": str(tags.main.get(tag.MODEL, "")).strip(),
+        "make": text_of(tags.main.get(tag.MAKE)),
+        "model": text_of(tags.main.get(tag.MODEL)),
     }
 
 
@@ -174,5 +175,7 @@ def _seconds(tags: DngTags) -> float | None:
     value = tags.exif.get(tag.EXPOSURE_TIME)
     if isinstance(value, tuple):
         value = value[0] / value[1] if len(value) > 1 and value[1] else None
-    inner = float(value) if isinstance(value, int | float) and math.isfinite(value) and value > 0 else None
-    return tags.number(tag.EXPOSURE_TIME) or inner
+    for one in (tags.number(tag.EXPOSURE_TIME), value):
+        if isinstance(one, int | float) and math.isfinite(one) and one > 0:
+            return float(one)
+    return None

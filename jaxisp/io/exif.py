@@ -103,7 +103,7 @@ def iso_of(tags: Mapping[int, Any]) -> float | None:
     Source: EXIF 2.3, 4.6.5 (PhotographicSensitivity, SensitivityType) and annex G.
     """
     stated = _positive(tags.get(_ISO))
-    if stated is not None and stated < _BEYOND:
+    if stated is not None and stated != _BEYOND:  # some write more in 32 bits
         return stated
     kind = _positive(tags.get(_SENSITIVITY_TYPE))
     named = _BY_TYPE.get(int(kind), ()) if kind else ()

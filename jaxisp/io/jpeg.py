@@ -15,7 +15,7 @@ from jaxisp.io.color_space import ColorSpace
 from jaxisp.io.exif import exif_of, new_exif
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.icc import by_tables, profile_space
-from jaxisp.io.jpeg_frame import Frame, frame_header
+from jaxisp.io.jpeg_frame import Frame, color_profile, frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.io.silence import silent_libraries
 from jaxisp.io.stated_color import StatedColor, stated_space
@@ -100,13 +100,13 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     if data[:3] != b"\xff\xd8\xff":
         raise InputError(f"{name}: is not a JPEG file")
     try:
-        frame = frame_header(data)
+        # not Pillow's profile: it passes over those after the frame header, and those that lack a part
+        frame, icc = frame_header(data), color_profile(data)
     except (ValueError, struct.error) as error:
         raise InputError(f"{name}: is a damaged or truncated JPEG ({error})") from error
     _check_frame(frame, name)
     check_pixels(frame.width, frame.height, len(data), name)
     picture, pixels = _decode(data, name)
-    icc = picture.info.get("icc_profile")
     exif, converted, space = exif_of(picture), False, None
     if to_srgb:
         pixels, converted, space = _in_srgb(pixels, icc, exif.color, name)

@@ -29,6 +29,7 @@ ACTIVE_AREA, SUB_TILE, ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50829, 50974, 50975, 
 COLORIMETRIC_REFERENCE, OPCODES_1, OPCODES_2, OPCODES_3, NOISE_PROFILE = 50879, 51008, 51009, 51022, 51041
 
 GREEN_SPLIT, LINEAR_LIMIT, SHADOW_SCALE, BLACK_RENDER, DYNAMIC_RANGE = 50733, 50734, 50739, 51110, 52551
+BEST_SCALE = 50780
 
 STATED = {
     50830: "MaskedAreas", 50831: "AsShotICCProfile", 50833: "CurrentICCProfile",
@@ -51,7 +52,7 @@ _WANTED = {
     CROP_ORIGIN, CROP_SIZE, USER_CROP, *COLOR_MATRICES, *CALIBRATIONS, *FORWARDS, *ILLUMINANTS,
     ANALOG_BALANCE, NEUTRAL, WHITE_XY, BASELINE_EXPOSURE, EXPOSURE_OFFSET, ACTIVE_AREA, SUB_TILE,
     ROW_INTERLEAVE, COLUMN_INTERLEAVE, COLORIMETRIC_REFERENCE, NOISE_PROFILE, GREEN_SPLIT,
-    LINEAR_LIMIT, SHADOW_SCALE, BLACK_RENDER, *STATED, *_TEXT, *_BYTES,
+    LINEAR_LIMIT, SHADOW_SCALE, BLACK_RENDER, BEST_SCALE, *STATED, *_TEXT, *_BYTES,
 }  # fmt: skip
 
 _SINGLE = {
@@ -158,11 +159,9 @@ def _value(tag: Any) -> Any:
         raise ValueError(f"{tag.count} values")
     if tag.code in STATED:
         return True
-    value = tag.value
     if tag.code in _TEXT:
-        if isinstance(value, bytes):
-            value = value.decode(errors="replace")
-        return value.rstrip("\0 ") if isinstance(value, str) else ""
+        return _text_bytes(tag)
+    value = tag.value
     if tag.code == EXIF:
         return {_code(name): own for name, own in value.items()} if isinstance(value, dict) else {}
     if tag.code in _BYTES:
@@ -178,6 +177,15 @@ def _value(tag: Any) -> Any:
     if not (numbers.size and 0 <= numbers[0] < 1 << 32):
         raise ValueError("no whole number")
     return int(numbers[0])
+
+
+def _text_bytes(tag: Any) -> bytes:
+    """Text as it stands in the file, up to its end; tifffile trims it, and guesses how it is coded."""
+    if tag.dtype not in (1, 2, 7):
+        return b""
+    file = tag.parent.filehandle
+    file.seek(tag.valueoffset)
+    return file.read(tag.count).split(b"\0")[0]
 
 
 def _code(name: str) -> Any:

@@ -19,11 +19,13 @@ from jaxisp.models.levels import LevelNet
 from jaxisp.models.n3net import N3Net
 from jaxisp.models.nafnet import NAFNet
 from jaxisp.models.unet import UNet
+from jaxisp.models.weighing import WeighNet
 
 MODELS: dict[str, Callable[..., nnx.Module]] = {
     "fast": FastNet,
     "unet": UNet,
     "levelnet": LevelNet,
+    "weighnet": WeighNet,
     "dncnn6": functools.partial(DnCNN, depth=6),
     "dncnn17": DnCNN,
     "ffdnet": FFDNet,
@@ -67,7 +69,7 @@ def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
     arrays, about = read_arrays(path)
     if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
         raise InputError(f"{path}: does not say which network it holds")
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
     model = make_model(about["model"], **options)
     fill(model, arrays, path)
     return model, about
@@ -92,6 +94,7 @@ __all__ = [
     "N3Net",
     "NAFNet",
     "UNet",
+    "WeighNet",
     "count_parameters",
     "denoise",
     "load_weights",

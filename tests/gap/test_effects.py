@@ -104,6 +104,16 @@ def test_every_move_shows(model):
         assert np.abs(model.render(z, light) - start).max() > 1e-4, coordinate
 
 
+def test_a_name_does_not_contradict_its_parameters():
+    """A negative share of a smoothing filter sharpens, a negative amount of a mask smooths."""
+    for name, field in (
+        ("luma_denoising", "shares"),
+        ("chroma_denoising", "shares"),
+        ("sharpening", "amounts"),
+    ):
+        assert all(m.low >= 0 for m in EFFECTS[name].moves if m.field == field)
+
+
 def test_a_user_adds_an_effect_of_their_own():
     own = Effect(
         "warm_shadows",

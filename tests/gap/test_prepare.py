@@ -13,11 +13,13 @@ from jaxisp.gap.base.raw_jpeg import camera_model
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.report.record import base_row
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import Variant, build, plain_camera, plain_freedom, rooted
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings
+from jaxisp.pipeline import Chain, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 from tests.gap.scenes import scenes
@@ -34,6 +36,19 @@ def test_a_given_camera_has_the_stages_that_are_its_own():
     row = base_row(model, np.zeros(len(model.coordinates)), {}, "camera")
     own = [n.name for n in camera.chain.nodes if not n.name.startswith(("demosaic", "rounding"))]
     assert [name for name in row["stages"] if name != "demosaicking"] == own and row["fitted"] == {}
+
+
+@pytest.mark.parametrize(
+    ("own", "algorithm"),
+    [
+        (stage("demosaic_rcd", cfa="GRBG"), "rcd"),
+        (stage("demosaic_ahd", cfa="GRBG", delta=1, variant="libraw"), "ahd-libraw"),
+        (stage("demosaic_ahd", cfa="GRBG", delta=3), None),
+    ],
+)
+def test_a_cameras_demosaicker_is_one_of_the_choices(own, algorithm):
+    (node,) = with_choice(Chain((own,))).nodes
+    assert node.options.get("algorithm") == algorithm and node.options["cfa"] == "GRBG"
 
 
 @pytest.mark.parametrize("roots", [False, True])

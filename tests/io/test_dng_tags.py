@@ -147,7 +147,12 @@ def test_a_camera_calibration_counts_for_its_own_profile(tmp_path):
     plain, applied = read(), read(unit)
     assert np.abs(plain.camera_to_srgb - applied.camera_to_srgb).max() > 0.01
     np.testing.assert_array_equal(signed("com.adobe", "com.adobe").camera_to_srgb, applied.camera_to_srgb)
-    for other in (signed("com.adobe", "somebody.else"), read(unit, (50931, 2, 0, "com.adobe"))):
+    for same in ((b"com.adobe\0\0", b"com.adobe\0"), ("", ""), (b"\x83\x81\x81", b"\x83\x81\x81")):
+        np.testing.assert_array_equal(signed(*same).camera_to_srgb, applied.camera_to_srgb)
+    # exactly, as they stand in the file, whatever their coding
+    pairs = [("com.adobe", "somebody.else"), ("com.adobe ", "com.adobe"), (" com.adobe", "com.adobe"),
+             ("com.adobe", "Com.Adobe"), (b"\x83\x81\x81", b"\x83\x81\x8d")]  # fmt: skip
+    for other in (*(signed(*pair) for pair in pairs), read(unit, (50931, 2, 0, "com.adobe"))):
         np.testing.assert_array_equal(other.camera_to_srgb, plain.camera_to_srgb)
         assert "CameraCalibration1 is for another profile" in other.notes[0]
 
@@ -214,6 +219,7 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((50733, 4, 1, 100), "its BayerGreenSplit of 100 is not applied", WHITE),
         ((50734, 5, 1, (9, 10)), "its LinearResponseLimit of 0.9 is not applied", WHITE),
         ((50739, 5, 1, (2, 1)), "its ShadowScale of 2 is not applied", WHITE),
+        ((50780, 5, 1, (3, 2)), "its BestQualityScale of 1.5 is not applied", WHITE),
         ((51110, 4, 1, 0), "its DefaultBlackRender of 0 is not applied", WHITE),
         ((50830, 4, 4, (0, 0, 52, 2)), "its MaskedAreas is not applied", WHITE),
         ((50939, 11, 3, (0.0, 1.0, 1.0)), "its ProfileHueSatMap is not applied", WHITE),
@@ -251,7 +257,7 @@ def test_a_plain_file_has_no_notes(tmp_path):
     assert read_raw(dng(tmp_path / "a.dng")).notes == ()
     extra += [
         (50733, 4, 1, 0), (50734, 5, 1, (1, 1)), (50739, 5, 1, (1, 1)), (51110, 4, 1, 1),
-        (52551, 7, 8, struct.pack("<2Hf", 1, 0, 1)),
+        (50780, 5, 1, (1, 1)), (52551, 7, 8, struct.pack("<2Hf", 1, 0, 1)),
     ]  # fmt: skip
     raw = read_raw(dng(tmp_path / "b.dng", extra_tags=extra))
     assert (raw.notes, raw.baseline_exposure) == ((), 0)
@@ -537,6 +543,7 @@ def long(*values: int) -> bytes:
         ([(ISO, 3, 2, short(100, 200))], 100),
         ([(ISO, 3, 1, short(0))], None),
         ([(ISO, 3, 1, short(65535))], None),
+        ([(ISO, 4, 1, long(204800))], 204800),
         ([(ISO, 3, 1, short(65535)), (TYPE, 3, 1, short(2)), (INDEX, 4, 1, long(102400))], 102400),
         ([(TYPE, 3, 1, short(2)), (INDEX, 4, 1, long(12800))], 12800),
         ([(TYPE, 3, 1, short(1)), (OUTPUT, 4, 1, long(250)), (INDEX, 4, 1, long(200))], 250),
@@ -558,6 +565,8 @@ def test_exposure_times(tmp_path, value, seconds):
     assert read_raw(with_exif(tmp_path / "a.dng", (SECONDS, 5, 1, long(*value)))).exposure_time == seconds
     path = dng(tmp_path / "b.dng", extra_tags=[(SECONDS, 5, 1, value)])
     assert read_raw(path).exposure_time == seconds
+    below = dng(tmp_path / "c.dng", extra_tags=[(SECONDS, 10, 1, (-1, 50))])
+    assert read_raw(below).exposure_time is None
 
 
 @pytest.mark.parametrize("speed", [[(34855, 3, 2, (0, 800))], [(34855, 3, 1, 0), (34866, 4, 1, 800)]])
@@ -573,6 +582,20 @@ def test_what_is_written_is_read(tmp_path, iso, seconds):
     )
     assert (raw.iso, raw.make, raw.model) == (iso, "Bölts & Söhne", "相機")
     assert raw.exposure_time == pytest.approx(seconds, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("stated", "make"),
+    [
+        ("Größe".encode("latin-1"), "Größe"),
+        (b"\x81\x8d", "\x81\x8d"),  # no UTF-8 and not in Windows' alphabet
+        (b"  MAKER  \0\0", "MAKER"),
+        (b"MAKER\0of RAW", "MAKER"),
+    ],
+)
+def test_text_that_is_not_utf_8(tmp_path, stated, make):
+    """By the rule that pictures have."""
+    assert read_raw(dng(tmp_path / "a.dng", extra_tags=[(271, 2, 0, stated)])).make == make
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ def stated(inner, **main):
         ({ISO: 65535, TYPE: 4, OUTPUT: 80000, INDEX: 102400}, 102400),
         ({ISO: 65535, INDEX: 204800}, 204800),
         ({ISO: 65535}, None),
+        ({ISO: 102400}, 102400),  # Pillow writes 32 bits
         ({INDEX: 12800}, 12800),
         ({ISO: 0, TYPE: 2, INDEX: 3200}, 3200),
         ({ISO: (0, 200)}, 200),

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from scipy.ndimage import gaussian_filter
 
 from jaxisp.errors import InputError
 from jaxisp.models import (
@@ -20,11 +21,13 @@ from jaxisp.models.ffdnet import estimate_noise
 from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
 from jaxisp.models.levels import measured_map
 from jaxisp.models.n3net import N3Block, _candidates
+from jaxisp.models.weighing import SEARCH, WIDTHS, _blurred, _means
 
 SMALL = {
     "fast": {"depth": 3, "features": 8},
     "unet": {"features": (8, 8), "depth": 1},
     "levelnet": {"features": (8, 8), "depth": 1, "estimator": 4},
+    "weighnet": {"features": 6},
     "dncnn6": {"features": 8},
     "dncnn17": {"features": 8, "depth": 4},
     "ffdnet": {"depth": 3, "features": 8},
@@ -103,15 +106,54 @@ def restless(name):
     return model
 
 
-@pytest.mark.parametrize("size", [(150, 181), (97, 33)])
-def test_tiles_with_the_noise_map_of_the_whole_picture_give_the_whole_picture(size, rng):
-    model = restless("levelnet")
+@pytest.mark.parametrize(
+    ("name", "size"), [("levelnet", (150, 181)), ("levelnet", (97, 33)), ("weighnet", (112, 130))]
+)
+def test_tiles_with_the_noise_map_of_the_whole_picture_give_the_whole_picture(name, size, rng):
+    model = restless(name) if name == "levelnet" else make_model(name, **SMALL[name])
     image = rng.random((*size, 3), np.float32)
     image[:50] = 0.5 + 0.02 * (image[:50] - 0.5)  # noise that is not the same everywhere
     whole = denoise(model, image)
     assert whole.shape == image.shape and np.abs(whole - image).max() > 0.01
     np.testing.assert_allclose(denoise(model, image, tile=80), whole, atol=1e-5)
-    np.testing.assert_allclose(run(model, jnp.asarray(image)[None])[0], whole, atol=1e-5)
+    if name == "levelnet":  # the other's filters reflect the picture's border, wherever it is
+        np.testing.assert_allclose(run(model, jnp.asarray(image)[None])[0], whole, atol=1e-5)
+
+
+def test_the_filters_of_weighnet_are_those_of_others(rng):
+    """Gaussians against SciPy's, non-local means against a loop over offsets, noise against its truth."""
+    picture = rng.random((24, 30, 3)).astype(np.float32)
+    for sigma in (0.6, 2.2):
+        wanted = gaussian_filter(
+            picture, (sigma, sigma, 0), mode="reflect", truncate=np.ceil(3 * sigma) / sigma
+        )
+        np.testing.assert_allclose(_blurred(jnp.asarray(picture), sigma), wanted, atol=1e-5)
+    scale = np.full(3, 0.2, np.float32)
+    found = np.asarray(_means(jnp.asarray(picture), jnp.broadcast_to(scale, picture.shape)))
+    padded = np.pad(picture, ((7, 7), (7, 7), (0, 0)), mode="symmetric")
+    y, x = 11, 0
+    sums, weights = np.zeros(3), 0.0
+    for dy in range(-SEARCH, SEARCH + 1):
+        for dx in range(-SEARCH, SEARCH + 1):
+            here, there = (
+                padded[y + 5 + oy : y + 10 + oy, x + 5 + ox : x + 10 + ox] for oy, ox in ((0, 0), (dy, dx))
+            )
+            apart = max(float((((there - here) / 0.2) ** 2).mean()) - 2, 0)
+            weight = np.exp(-apart / (2 * WIDTHS[1] ** 2))
+            sums, weights = sums + weight * there[2, 2], weights + weight
+    np.testing.assert_allclose(found[1, y, x], sums / weights, atol=1e-5)
+
+
+def test_weighnet_finds_white_noise_and_its_brightness(rng):
+    clean = np.full((1, 128, 128, 3), 0.25, np.float32)
+    clean[:, :, 64:] = 0.75
+    std = np.where(clean < 0.5, 0.02, 0.06)
+    noisy = clean + std * rng.standard_normal(clean.shape)
+    found = np.asarray(make_model("weighnet").noise_map(jnp.asarray(noisy, jnp.float32)))
+    assert found.shape == (1, 8, 8, 3)
+    np.testing.assert_allclose(found[0, :, :4, :2], 0.02, rtol=0.2)
+    np.testing.assert_allclose(found[0, :, 4:, :2], 0.06, rtol=0.2)
+    np.testing.assert_allclose(found[..., 2], 1.0, atol=0.15)  # neighbours have nothing in common
 
 
 def test_strength_is_a_share_below_one_and_a_louder_map_above(rng):

@@ -76,7 +76,8 @@ def clean_case_on_reference(
     pairs = _exposed(own, fitted, same)
     pictures = _same_noise(fitted, pairs, same)
     model = _taken_over(fitted.case.point.model, fitted.mean.camera, pairs, exclude)
-    place, seen = (0, 0), ()
+    place = (0, 0)
+    seen: tuple[str, ...] = ()
     if "double_compression" in model.effects:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])
         model = with_earlier_grid(model, place)

@@ -59,7 +59,7 @@ class Base(NamedTuple):
     """
 
     model: Model
-    absorbed: Mapping[str, float] = MappingProxyType({})
+    absorbed: Mapping[str, float | None] = MappingProxyType({})
     choices: Sequence[Variant] = ()
     rival: Variant | None = None
     unidentifiable: tuple[str, ...] = ()

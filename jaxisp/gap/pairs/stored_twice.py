@@ -43,10 +43,10 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     both = (whole**2).mean((0, 1, 3)) + 1e-9
     chance = np.maximum((change**2 * moved).mean((0, 1, 3)) * stay, (1 - stay) * both)
     left = np.minimum(chance / both, 1)
-    n, height, width, _ = total.shape
     shaped = idctn(whole * np.sqrt(left)[:, None], axes=(2, 4), norm="ortho")
+    height, width = map(int, np.shape(total)[1:3])
     rows, columns = height // 8 * 8, width // 8 * 8
-    total[:, :rows, :columns] = shaped.reshape(n, rows, columns, 3)
+    total[:, :rows, :columns] = shaped.reshape(len(total), rows, columns, 3)
     return total
 
 
