@@ -37,9 +37,9 @@ from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Chain, Params
 
-_SHARED = 0.7
-"""Share of the energy of the reference's noise below which two pictures differ by less than their noise: of
-two exposures it is 2."""
+_SHARED = 0.6
+"""Correlation of what two pictures have beside the noise-free base, above which they are of one exposure; of
+two exposures only the base's own error is alike."""
 
 
 class _Fitted(NamedTuple):
@@ -145,7 +145,7 @@ def _taken_over(fitted: Model, camera: Camera, pairs: Pairs, exclude: Sequence[s
 def _same_noise(fitted: _Fitted, pairs: Pairs, same: Sequence[int | None]) -> np.ndarray | None:
     """(N, H, W, 3) the reference's pictures of the same exposures; None unless every pair has one.
 
-    Details of two exposures differ by the noise of both, those of one exposure by what was done to it.
+    Noise of one exposure is alike, whatever was done to it.
     """
     theirs = fitted.mean.objective.pairs
     if any(i is None for i in same):
@@ -153,11 +153,12 @@ def _same_noise(fitted: _Fitted, pairs: Pairs, same: Sequence[int | None]) -> np
     pictures = np.stack([theirs.pictures[i] for i in same if i is not None]).astype(np.float32)
     still = fitted.mean.point.model.render(fitted.mean.point.z, pairs.light)
 
-    def energy(change: np.ndarray) -> float:
-        return float(((change - gaussian_filter(change, (0, 1.5, 1.5, 0)))[pairs.mask] ** 2).mean())
+    def noise(seen: np.ndarray) -> np.ndarray:
+        own = seen - still
+        return np.asarray((own - gaussian_filter(own, (0, 1.5, 1.5, 0)))[pairs.mask].ravel())
 
-    shared = energy(pairs.pictures - pictures) < _SHARED * energy(pictures - still)
-    return pictures if shared else None
+    alike = float(np.corrcoef(noise(pairs.pictures), noise(pictures))[0, 1])
+    return pictures if alike > _SHARED else None
 
 
 def _with_pictures(model: Model, measure: Measure, pictures: np.ndarray) -> Model:
