@@ -35,11 +35,11 @@ def fitted_to(loaded, pairs):
 def sets(tmp_path_factory):
     """Pairs of a camera, of the same RAW files with a brighter picture, and of other RAW files."""
     off, on, other = (tmp_path_factory.mktemp(name) for name in ("off", "on", "other"))
-    write(off, count=2, size=64)
-    write(on, lambda m: m**0.9, count=2, size=64)
+    write(off, count=2, size=96)
+    write(on, lambda m: m**0.9, count=2, size=96)
     for path in off.glob("*.raw.npy"):
         np.save(on / path.name, np.load(path))
-    write(other, count=4, size=64)
+    write(other, count=4, size=96)
     for path in list(other.glob("*")):
         if path.stem.removesuffix(".raw") in {p.stem for p in off.glob("*.png")}:
             path.unlink()

@@ -250,7 +250,7 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     if PICTURE_LIGHT in names:  # light is seen in the picture itself, and so is the lens beside a RAW
         light = names.index(PICTURE_LIGHT) + 1
         after["linear"] = light
-        if nodes[0].domain_in == MOSAIC:
+        if not any(n.domain_out == MOSAIC != n.domain_in for n in nodes):
             after["scene"] = light
     if not any(MOSAIC in (n.domain_in, n.domain_out) for n in nodes):
         return {"scene": 0, "linear": 0, "camera": 0} | after
