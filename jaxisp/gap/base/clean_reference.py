@@ -1,7 +1,9 @@
 """Clean+noisy pairs beside a reference, the same camera without the effect: what differs from the reference.
 
-The base is fitted to the reference and taken over with nothing free. What its statistics are off by on the
-reference is taken off the real pictures' statistics, so that only what the reference does not show is a gap.
+The base is fitted to the reference and taken over with nothing free. Where both sets hold the same exposures,
+developed in two ways, the reference's pictures are added to the base (`simulator.remainder`), noise and all:
+effects act on them. Elsewhere what the base's statistics are off by on the reference is taken off the real
+pictures'. Either way only what the reference does not show is a gap.
 """
 
 import dataclasses
@@ -11,13 +13,16 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from jaxisp.gap.base import cfa_phase
 from jaxisp.gap.base.clean_noisy import fitted_plain, sensor_quantization
 from jaxisp.gap.base.given_chain import on_own_stage
 from jaxisp.gap.base.mean import MeanFit, fit_mean
+from jaxisp.gap.base.plain_clean import BALANCES, Camera, read_out
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
+from jaxisp.gap.objective.measure import Measure
 from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.pairs.align_clean import clean_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
@@ -26,8 +31,15 @@ from jaxisp.gap.pairs.pairs import Pairs, to_steps
 from jaxisp.gap.pairs.scenes import split_of
 from jaxisp.gap.simulator.choices import with_earlier_grid
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, candidates
-from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.model import Model, build
+from jaxisp.gap.simulator.remainder import REMAINDER, Remainder, with_remainder
+from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.io.datasets import Loaded
+from jaxisp.pipeline import Chain, Params
+
+_SHARED = 0.6
+"""Correlation of what two pictures have beside the noise-free base, above which they are of one exposure; of
+two exposures only the base's own error is alike."""
 
 
 class _Fitted(NamedTuple):
@@ -62,8 +74,10 @@ def clean_case_on_reference(
     fitted = _fitted(reference, theirs, seed, tick)
     same = _same_scenes(own, theirs)
     pairs = _exposed(own, fitted, same)
-    model = _taken_over(fitted.case.point.model, exclude)
-    place, seen = (0, 0), tuple[str, ...]()
+    pictures = _same_noise(fitted, pairs, same)
+    model = _taken_over(fitted.case.point.model, fitted.mean.camera, pairs, exclude)
+    place = (0, 0)
+    seen: tuple[str, ...] = ()
     if "double_compression" in model.effects:
         place = earlier_grid(to_steps(pairs.pictures)[..., 0])
         model = with_earlier_grid(model, place)
@@ -76,7 +90,11 @@ def clean_case_on_reference(
 
     read = sensor_quantization(model.shared, fitted.mean.camera, pairs)
     objective = StatisticsObjective.of(model, pairs, noise_free, split_of(pairs.names), read, seed=seed)
-    measure = objective.measure.less(_offset(fitted.case, same, len(pairs.names)))
+    if pictures is None:
+        measure = objective.measure.less(_offset(fitted.case, same, len(pairs.names)))
+    else:  # what is simulated are real pictures too
+        measure = dataclasses.replace(objective.measure, again=objective.measure.reference)
+        model = _with_pictures(model, measure, pictures)
     objective = dataclasses.replace(objective, measure=measure)
     objective = objective.with_unit(objective.at(model, z))
     objective = objective.with_unit(objective.at(model, z), emphasise=True)
@@ -99,16 +117,57 @@ def _fitted(reference: Sequence[Loaded], theirs: Pairs, seed: int, tick: Tick) -
     return _Fitted(*fitted_plain(theirs, mean, candidates(CLEAN_NOISY), file, cfa, seed, tick))
 
 
-def _taken_over(model: Model, exclude: Sequence[str]) -> Model:
-    """The model with nothing of the base free: effects whose stage it has act on it."""
-    effects = {}
-    for effect in candidates(CLEAN_NOISY, exclude):
-        moves = model.effects[effect.name]
-        if f"use_{effect.name}" not in model.shared:
-            moves = on_own_stage(effect, model.shared[effect.name])
-        if moves:
-            effects[effect.name] = moves
-    return dataclasses.replace(model, base=(), effects=effects, tied=None)
+def _taken_over(fitted: Model, camera: Camera, pairs: Pairs, exclude: Sequence[str]) -> Model:
+    """The fitted base with nothing free, ready for the reference's pictures.
+
+    Effects whose stage it has act on it; those of light after colour and of the encoded picture act on both
+    together.
+    """
+    effects = candidates(CLEAN_NOISY, exclude)
+    chain, params = camera.chain()
+    added, each = with_remainder(
+        Chain(chain.nodes[:-1], chain.name), len(pairs.names), (pairs.mask.shape[1], pairs.mask.shape[2])
+    )
+    shared = {name: fitted.shared.get(name, own) for name, own in params.items()}
+    model = build(
+        Chain((*added.nodes, chain.nodes[-1]), chain.name), shared, each, [], effects, keep_file=True
+    )
+    there = {s.name for s in chain.stages()}
+    acting = {e.name: on_own_stage(e, model.shared[e.name]) for e in effects if e.name in there}
+    moving = {name: acting.get(name, moves) for name, moves in model.effects.items()}
+    return dataclasses.replace(
+        model,
+        chain=read_out(model.chain, BALANCES[0]),
+        effects={name: moves for name, moves in moving.items() if moves},
+    )
+
+
+def _same_noise(fitted: _Fitted, pairs: Pairs, same: Sequence[int | None]) -> np.ndarray | None:
+    """(N, H, W, 3) the reference's pictures of the same exposures; None unless every pair has one.
+
+    Noise of one exposure is alike, whatever was done to it.
+    """
+    theirs = fitted.mean.objective.pairs
+    if any(i is None for i in same):
+        return None
+    pictures = np.stack([theirs.pictures[i] for i in same if i is not None]).astype(np.float32)
+    still = fitted.mean.point.model.render(fitted.mean.point.z, pairs.light)
+
+    def noise(seen: np.ndarray) -> np.ndarray:
+        own = seen - still
+        return np.asarray((own - gaussian_filter(own, (0, 1.5, 1.5, 0)))[pairs.mask].ravel())
+
+    alike = float(np.corrcoef(noise(pairs.pictures), noise(pictures))[0, 1])
+    return pictures if alike > _SHARED else None
+
+
+def _with_pictures(model: Model, measure: Measure, pictures: np.ndarray) -> Model:
+    """The model whose first draw of the noise makes exactly these pictures while its effects are off."""
+    z, keys = np.zeros(len(model.coordinates)), measure.keys()
+    bare = Chain(model.chain.nodes[:-1], model.chain.name)  # without the file
+    made = render(bare, model.params(z), model.per_pair, measure.pairs.light, keys, Kept())
+    added: Params = {REMAINDER: Remainder(added=np.asarray(pictures - made, np.float32))}
+    return dataclasses.replace(model, per_pair=model.per_pair | added, kept=Kept())
 
 
 def _same_scenes(own: Pairs, theirs: Pairs) -> list[int | None]:

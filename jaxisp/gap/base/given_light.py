@@ -23,7 +23,7 @@ from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 TONE, MATRIX = "refitted_tone", "refitted_matrix"
 """The nodes that are moved; a camera has neither."""
 ABSORBED = ("tone_curve", "color_matrix", "white_balance")
-_SPREAD = {MATRIX: 0.1, TONE: 0.05}
+_SPREAD = {MATRIX: 0.03, TONE: 0.015}
 """Standard deviation of what is believed of a move."""
 _CHOSEN = 0.98
 """Share of the error that another demosaicker must leave to replace the camera's own."""

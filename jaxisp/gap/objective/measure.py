@@ -142,8 +142,9 @@ class Measure:
         return jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.asarray(self.numbers))
 
     def rendered(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
-        """(N, H, W, 3) encoded, noise and all."""
-        return model.render(z, self.pairs.light, self.keys(replicate))
+        """(N, H, W, 3) encoded, noise and all; the model is that of all pairs."""
+        own = model.take(self.numbers) if model.per_pair else model
+        return own.render(z, self.pairs.light, self.keys(replicate))
 
     def picture(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, h, w, 3) in steps, its border cut off."""

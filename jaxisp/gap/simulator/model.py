@@ -247,9 +247,11 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     last = nodes[end - 1]
     clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
     after = {"encoded": end - clipped, "output": end}
-    if PICTURE_LIGHT in names:  # the lens and light are seen in the picture itself
+    if PICTURE_LIGHT in names:  # light is seen in the picture itself, and so is the lens beside a RAW
         light = names.index(PICTURE_LIGHT) + 1
-        after |= {"scene": light, "linear": light}
+        after["linear"] = light
+        if not any(n.domain_out == MOSAIC != n.domain_in for n in nodes):
+            after["scene"] = light
     if not any(MOSAIC in (n.domain_in, n.domain_out) for n in nodes):
         return {"scene": 0, "linear": 0, "camera": 0} | after
     mosaic = next(i for i, n in enumerate(nodes) if n.domain_in == MOSAIC or n.domain_out == MOSAIC)
