@@ -1,6 +1,7 @@
 """What is diagnosed: the evidence, the base that stands before it, and the size of the gap."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -17,12 +18,28 @@ Tick = Callable[[int, int, str], Any]
 """Told (done, total, text) as work goes on."""
 
 
+class Floor(NamedTuple):
+    """The gap of a right simulator: what chance, rounding and the files' own compression leave.
+
+    Attributes:
+        each: (N,) by pair.
+        ci: the 90 % interval [low, high] of its mean over the held-out pairs.
+    """
+
+    each: np.ndarray
+    ci: tuple[float, float]
+
+
 class Gap(NamedTuple):
-    """On the held-out pairs, at the base; `least` is the unit where the floor is below."""
+    """On the held-out pairs, at the base; `least` is the unit where the floor is below.
+
+    `floor_ci` is the 90 % interval of the floor; None where it was not measured.
+    """
 
     before: float
     floor: float
     least: float = 0.0
+    floor_ci: tuple[float, float] | None = None
 
     @property
     def scale(self) -> float:
@@ -49,7 +66,8 @@ class Case:
         pairs: what is compared.
         evidence: what the search minimises.
         point: where the base stands.
-        floors: (N,) the gap of each pair that a right simulator would leave.
+        floor_at: the floor, as measured at a point. A floor depends on the simulator: what a file's
+            compression takes of a soft picture is less than what it takes of a sharp one.
         absorbed: what the base absorbed of each effect that is part of it; None where that was not measured.
         offered: effects that are tried.
         pixels, statistics: `evidence` by its own type, for what only pixels or only statistics tell.
@@ -67,7 +85,7 @@ class Case:
     pairs: Pairs
     evidence: Evidence
     point: Point
-    floors: np.ndarray
+    floor_at: Callable[[Point], Floor]
     absorbed: Mapping[str, float | None]
     offered: list[str]
     pixels: PixelObjective | None = None
@@ -85,8 +103,25 @@ class Case:
         """The pairs that are fitted, and those held out."""
         return self.evidence.split
 
+    @functools.cached_property
+    def floors(self) -> np.ndarray:
+        """(N,) the gap of each pair that a right simulator would leave, at the base."""
+        return self._floor.each
+
+    @functools.cached_property
+    def _floor(self) -> Floor:
+        return self.floor_at(self.point)
+
     def gap(self) -> Gap:
         """At the base."""
         held = list(self.split.held_out)
         before = float(np.nanmean(self.evidence.units(self.point)[held]))
-        return Gap(before, float(min(self.floors[held].mean(), before)), self.criteria.least_unit)
+        return self._above(self._floor, before)
+
+    def gap_above(self, gap: Gap, point: Point) -> Gap:
+        """The gap at the base, above the floor that a point has."""
+        return self._above(self.floor_at(point), gap.before)
+
+    def _above(self, floor: Floor, before: float) -> Gap:
+        mean = float(floor.each[list(self.split.held_out)].mean())
+        return Gap(before, min(mean, before), self.criteria.least_unit, floor.ci)

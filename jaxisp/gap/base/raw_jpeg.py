@@ -9,16 +9,18 @@ import numpy as np
 
 from jaxisp.camera import params_for, with_cfa
 from jaxisp.errors import InputError
+from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.plain_raw import Base, raw_model
-from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.case import Case, Floor, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
-from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.pairs.scenes import Split, by_scene, split_of
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build, is_file
@@ -138,10 +140,17 @@ def raw_case(
     if file is None:  # compressed at most once
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unidentifiable}
-    stored = objective.floor_difference(at, [p.jpeg for p in loaded])
+    files = [p.jpeg for p in loaded]
+    stored = objective.floor_difference(at, files)
+
+    def floor_at(point: Point) -> Floor:
+        units, held = objective.floor_units(objective.floor_difference(point, files)), list(split.held_out)
+        drawn = by_scene(units[held], [pairs.names[i] for i in held])
+        return Floor(np.nanmean(units, 1), interval(drawn, 1.0))
+
     return Case(
         kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
-        absorbed=absorbed, floors=objective.floor_errors(stored),
+        absorbed=absorbed, floor_at=floor_at,
         offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
         given=f"camera {camera.name}" if camera else None,
