@@ -294,11 +294,11 @@ def _closes(row: Mapping[str, Any]) -> str:
 
 
 def _status(row: Mapping[str, Any]) -> str:
-    """The status of a candidate, with its reason if it was refused; "" if no reason is given."""
-    if row["status"] == "accepted":
-        return "found"
-    said = row.get("reason", "")
-    return " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
+    """The status of a candidate, with its probability, and its reason if it was refused."""
+    said = "found" if row["status"] == "accepted" else row.get("reason", "")
+    said = " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
+    likely = f"probability {percent(row['probability'])}" if finite(row.get("probability")) else ""
+    return ", ".join(filter(None, (said, likely)))
 
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
