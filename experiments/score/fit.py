@@ -89,20 +89,16 @@ def fitted(rows: Sequence[Row], question: str) -> dict[str, Any]:
 
 
 def fit_all(records: Sequence[Record]) -> dict[str, Any]:
-    """The whole of `score.json`. Both kinds of pairs share their weights; intercepts are of a kind."""
+    """The whole of `score.json`."""
     effects, grain = (effect_rows(records, grain) for grain in (False, True))
-    shared = {score.EFFECT: fitted(effects, score.EFFECT), score.GRAIN: fitted(grain, score.GRAIN)}
-    partial = {kind: dict(shared) for kind in CRITERIA}
-    left = [left_rows(records, partial, question) for question in (score.OTHER, score.NONE)]
-    shared |= {q: fitted(rows, q) for q, rows in zip((score.OTHER, score.NONE), left)}
-    return {kind: shared for kind in CRITERIA}
+    found = {score.EFFECT: fitted(effects, score.EFFECT), score.GRAIN: fitted(grain, score.GRAIN)}
+    return found | {q: fitted(left_rows(records, found, q), q) for q in (score.OTHER, score.NONE)}
 
 
 def probabilities(record: Record, found: Mapping[str, Any]) -> dict[str, float]:
     """The probability of each refitted effect of a case."""
-    own = found[record["kind"]]
     return {
-        effect: score.logistic(own[score.GRAIN if "form" not in signs else score.EFFECT], signs)
+        effect: score.logistic(found[score.GRAIN if "form" not in signs else score.EFFECT], signs)
         for effect, signs in record["signs"].items()
     }
 
@@ -141,7 +137,7 @@ def answers(records: Sequence[Record], scores: Mapping[str, Any]) -> dict[str, l
             found[question].append((p, is_true(effect, record)))
         for question in (score.OTHER, score.NONE):
             for _, _, answer, signs in left_rows([record], own, question):
-                found[question].append((score.logistic(own[record["kind"]][question], signs), answer))
+                found[question].append((score.logistic(own[question], signs), answer))
     return found
 
 
@@ -242,14 +238,13 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
         head = ["probability", "rows", "mean", "frequency"]
         lines += [f"### {question}", "", table(head, rows)]
     lines += ["## Weights", "", "Of standardised signs, all cameras.", ""]
-    first = next(iter(found.values()))
     for question in SIDES:
-        weights = sorted(first[question]["signs"].items(), key=lambda kv: -abs(kv[1][2]))
+        weights = sorted(found[question]["signs"].items(), key=lambda kv: -abs(kv[1][2]))
         lines += [
             f"### {question}", "",
             table(
                 ["sign", "mean", "deviation", "weight"],
-                [["intercept", "", "", f"{first[question]['intercept']:.2f}"],
+                [["intercept", "", "", f"{found[question]['intercept']:.2f}"],
                  *([n, *(f"{v:.2f}" for v in values)] for n, values in weights)],
             ),
         ]  # fmt: skip

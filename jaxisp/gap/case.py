@@ -1,7 +1,6 @@
 """What is diagnosed: the evidence, the base that stands before it, and the size of the gap."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -66,8 +65,7 @@ class Case:
         pairs: what is compared.
         evidence: what the search minimises.
         point: where the base stands.
-        floor_at: the floor, as measured at a point. A floor depends on the simulator: what a file's
-            compression takes of a soft picture is less than what it takes of a sharp one.
+        floors: (N,) the gap of each pair that a right simulator would leave, at the base.
         absorbed: what the base absorbed of each effect that is part of it; None where that was not measured.
         offered: effects that are tried.
         pixels, statistics: `evidence` by its own type, for what only pixels or only statistics tell.
@@ -78,6 +76,9 @@ class Case:
         unidentifiable: effects that are part of the base and that these pairs cannot show.
         outliers: pairs that were left out, since the base's tones do not carry over to them.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
+        floor_ci: the 90 % interval of the floor at the base; None where it is not known.
+        floor_at: the floor, measured at a point; None where it is the same everywhere. What a file's
+            compression takes of a soft picture is less than what it takes of a sharp one.
     """
 
     kind: str
@@ -85,7 +86,7 @@ class Case:
     pairs: Pairs
     evidence: Evidence
     point: Point
-    floor_at: Callable[[Point], Floor]
+    floors: np.ndarray
     absorbed: Mapping[str, float | None]
     offered: list[str]
     pixels: PixelObjective | None = None
@@ -97,31 +98,25 @@ class Case:
     unidentifiable: tuple[str, ...] = ()
     outliers: tuple[str, ...] = ()
     reference: np.ndarray | None = None
+    floor_ci: tuple[float, float] | None = None
+    floor_at: Callable[[Point], Floor] | None = None
 
     @property
     def split(self) -> Split:
         """The pairs that are fitted, and those held out."""
         return self.evidence.split
 
-    @functools.cached_property
-    def floors(self) -> np.ndarray:
-        """(N,) the gap of each pair that a right simulator would leave, at the base."""
-        return self._floor.each
-
-    @functools.cached_property
-    def _floor(self) -> Floor:
-        return self.floor_at(self.point)
-
     def gap(self) -> Gap:
         """At the base."""
         held = list(self.split.held_out)
         before = float(np.nanmean(self.evidence.units(self.point)[held]))
-        return self._above(self._floor, before)
+        floor = float(self.floors[held].mean())
+        return Gap(before, min(floor, before), self.criteria.least_unit, self.floor_ci)
 
     def gap_above(self, gap: Gap, point: Point) -> Gap:
         """The gap at the base, above the floor that a point has."""
-        return self._above(self.floor_at(point), gap.before)
-
-    def _above(self, floor: Floor, before: float) -> Gap:
+        if self.floor_at is None:
+            return gap
+        floor = self.floor_at(point)
         mean = float(floor.each[list(self.split.held_out)].mean())
-        return Gap(before, min(mean, before), self.criteria.least_unit, floor.ci)
+        return gap._replace(floor=min(mean, gap.before), floor_ci=floor.ci)

@@ -9,7 +9,7 @@ from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import Downstream
-from jaxisp.gap.case import Case, Floor
+from jaxisp.gap.case import Case
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.diagnose import _trained
 from jaxisp.gap.downstream import denoisers
@@ -37,7 +37,7 @@ def case(names=("a", "b", "c", "d")):
 
     return Case(
         kind="clean+noisy", criteria=CRITERIA["clean+noisy"], pairs=pairs, absorbed={},
-        floor_at=lambda point: Floor(np.ones(4), (1.0, 1.0)),
+        floors=np.ones(4),
         evidence=SimpleNamespace(split=Split((0, 2), (1, 3))), point=None, offered=[], reference=clean,
         statistics=SimpleNamespace(measure=SimpleNamespace(rendered=rendered)),
     )  # fmt: skip

@@ -78,6 +78,24 @@ def test_a_cause_that_is_dropped_takes_none_of_those_after_it_along():
     assert on == {SECOND}
 
 
+def test_the_floor_is_that_of_the_end():
+    """A picture with the effect is softer, and its file loses less: what is closed is a share of more."""
+    evidence, start = toy.apart({FIRST: 0.6, "prnu": 0.0}, gap=30.0)
+
+    def floor_at(point):
+        at = 1.0 if point is start else 0.4
+        return Floor(np.full(4, at), (at / 2, 2 * at))
+
+    found = found_of(evidence, start, floor_at=floor_at)
+    ((cause, _),) = found.causes
+    assert (found.gap.floor, found.gap.floor_ci) == (0.4, (0.2, 0.8))
+    share = cause.gain / (found.gap.before - 0.4)
+    assert cause.closed == pytest.approx(share) and cause.closed < 0.6 < cause.gain / 30.0 + 1e-3
+    assert cause.low < cause.closed < cause.high or cause.low == pytest.approx(cause.closed)
+    assert found.trials[FIRST].closed == pytest.approx(share, rel=1e-3)
+    assert found_of(*toy.apart({FIRST: 1.0}, gap=0.5)).gap is None
+
+
 def test_a_gap_within_the_floor_has_no_cause():
     """Though an effect would close all of it."""
     evidence, start = toy.apart({FIRST: 1.0}, gap=0.5)
@@ -101,9 +119,7 @@ def test_what_is_harmless_is_no_smaller_where_a_file_is_not_compressed(kind, lea
     def gap(before, floor):
         evidence = SimpleNamespace(units=lambda point: np.full((4, 1), before), split=toy.SPLIT)
         point = SimpleNamespace(model=SimpleNamespace(effects=()))
-        return toy.case(
-            evidence, point, kind, floor_at=lambda point: Floor(np.full(4, floor), (floor, floor))
-        ).gap()
+        return toy.case(evidence, point, kind, floors=np.full(4, floor)).gap()
 
     small, large = gap(0.45, 0.1), gap(15.0, 10.0)
     assert (small.before, small.floor, small.unit) == (pytest.approx(0.45), 0.1, max(0.1, least))

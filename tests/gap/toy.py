@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from jaxisp.gap.case import Case, Floor
+from jaxisp.gap.case import Case
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.objective.protocol import NormalEquations, Point
 from jaxisp.gap.pairs.scenes import Split
@@ -155,6 +155,6 @@ def case(evidence: Line, start: Point, kind: str = "clean+noisy", **more: object
     own = {
         "offered": list(start.model.effects),
         "absorbed": {},
-        "floor_at": lambda point: Floor(np.full(4, FLOOR), (FLOOR, FLOOR)),
+        "floors": np.full(4, FLOOR),
     } | more
     return Case(kind=kind, criteria=CRITERIA[kind], pairs=None, evidence=evidence, point=start, **own)

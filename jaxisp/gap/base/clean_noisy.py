@@ -241,9 +241,10 @@ def _case(
         low, high = np.percentile(drawn[:, held].mean(1), (5, 95))
         return Floor(drawn.mean(0), (float(low), float(high)))
 
+    floor = floor_at(at)
     return Case(
         kind=CLEAN_NOISY, criteria=CRITERIA[CLEAN_NOISY], pairs=objective.measure.pairs, evidence=objective,
-        point=at, floor_at=floor_at,
+        point=at, floors=floor.each, floor_ci=floor.ci, floor_at=floor_at,
         absorbed=absorbed, offered=offered, statistics=objective, seen=shown,
     )  # fmt: skip
 

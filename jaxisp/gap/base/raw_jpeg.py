@@ -148,9 +148,10 @@ def raw_case(
         drawn = by_scene(units[held], [pairs.names[i] for i in held])
         return Floor(np.nanmean(units, 1), interval(drawn, 1.0))
 
+    floor = floor_at(at)
     return Case(
         kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
-        absorbed=absorbed, floor_at=floor_at,
+        absorbed=absorbed, floors=floor.each, floor_ci=floor.ci, floor_at=floor_at,
         offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
         given=f"camera {camera.name}" if camera else None,

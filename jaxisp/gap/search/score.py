@@ -1,7 +1,7 @@
 """The probability that an effect is there: logistic regressions of its signs, kept as data.
 
-`score.json` holds, for each kind of pairs and each question, an intercept and for each sign its mean, its
-standard deviation and a weight. `experiments.diagnosis_score` fits it to cameras whose effects are known.
+`score.json` holds, for each question, an intercept and for each sign its mean, its standard deviation and a
+weight. All kinds of pairs share them. `experiments.score` fits them to cameras whose effects are known.
 """
 
 import functools
@@ -15,15 +15,14 @@ EFFECT, GRAIN, OTHER, NONE = "effect", "film_grain", "other", "none"
 """Questions: is this effect there, is film grain there, does something else remain, is nothing missing?"""
 
 
-def probability(kind: str, question: str, signs: Mapping[str, float]) -> float:
+def probability(question: str, signs: Mapping[str, float]) -> float:
     """The answer to a question, in (0, 1).
 
     Args:
-        kind: of the pairs.
         question: one of the questions above.
         signs: values by name, at least those that the score weighs.
     """
-    return logistic(table()[kind][question], signs)
+    return logistic(table()[question], signs)
 
 
 def logistic(row: Mapping[str, Any], signs: Mapping[str, float]) -> float:
@@ -36,6 +35,6 @@ def logistic(row: Mapping[str, Any], signs: Mapping[str, float]) -> float:
 
 @functools.cache
 def table() -> dict[str, Any]:
-    """The score by kind of pairs and question."""
+    """The score by question."""
     found: dict[str, Any] = json.loads(files("jaxisp.gap.search").joinpath("score.json").read_text())
     return found

@@ -117,14 +117,14 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     before, terms = shown(evidence, start), terms_of(case, gap)
     found = search(evidence, start, case.offered, terms, tick)
     seen = effect_signs(case, gap, found, before)
-    probable = {name: score.probability(case.kind, score.EFFECT, own._asdict()) for name, own in seen.items()}
+    probable = {name: score.probability(score.EFFECT, own._asdict()) for name, own in seen.items()}
     noted: dict[str, Mapping[str, float]] = {name: own._asdict() for name, own in seen.items()}
     causes, at = named(case, found, probable, terms)
     trials, predicted = found.trials, found.predicted
     if case.stored is not None:
         grain = _grain(case, at, gap.scale, terms.least)
         noted[grain.effect] = own = grain_signs(gap, grain, found, before)
-        probable[grain.effect] = score.probability(case.kind, score.GRAIN, own)
+        probable[grain.effect] = score.probability(score.GRAIN, own)
         if terms.most and probable[grain.effect] >= criteria.named:
             causes = with_grain(causes, grain, gap.floor, criteria)
         trials, predicted = trials | {"film_grain": grain}, predicted | {"film_grain": grain.gain}
@@ -141,7 +141,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
         trials = {name: t.share_of(gap.scale / end.scale) for name, t in trials.items()}
     reached = causes[-1][0].after if causes else gap.before
     left = left_signs(end or gap, reached, max(probable.values(), default=0.0))
-    probable |= {q: score.probability(case.kind, q, left) for q in (score.OTHER, score.NONE)}
+    probable |= {q: score.probability(q, left) for q in (score.OTHER, score.NONE)}
     accepted = [t.effect for t, _ in found.causes] + [n for n in trials if n not in found.trials]
     return Found(
         causes, at, trials, predicted, before, after, refused, found.hidden, accepted, noted, probable,
