@@ -30,8 +30,9 @@ ROOT = Path(__file__).parent.parent
 PUBLIC = [
     "jaxisp", "jaxisp.fit", "jaxisp.train", "jaxisp.data", "jaxisp.gap", "jaxisp.models", "jaxisp.io",
     "jaxisp.samples", "jaxisp.explore", "jaxisp.params", "jaxisp.priors", "jaxisp.metrics", "jaxisp.camera",
-    "jaxisp.losses",
+    "jaxisp.losses", "jaxisp.calibrate", "jaxisp.interop",
 ]  # fmt: skip
+OPTIONAL = {"torch", "datasets"}
 MISSING = [name for name in ("sphinx", "myst_parser", "furo", "jupytext") if find_spec(name) is None]
 built = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
 
@@ -247,7 +248,11 @@ def test_python_in_the_pages_names_what_is_there(code: str):
     """It compiles, and what it imports of the package exists."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxisp"):
-            module = importlib.import_module(node.module)
+            try:
+                module = importlib.import_module(node.module)
+            except ModuleNotFoundError as error:  # of a library that is for comparison and bridges alone
+                assert error.name in OPTIONAL, error.name
+                continue
             for alias in node.names:
                 assert hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}"), alias.name
 

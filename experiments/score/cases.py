@@ -1,19 +1,18 @@
 """Diagnose cases whose effects are known, and keep the signs of every refitted effect.
 
     python -m experiments.score.cases run -o CASES --limit 100        # cameras of the withheld study
-    python -m experiments.score.cases folders FOLDER... -o CASES      # those of experiments.third_party
     python -m experiments.score.cases collect CASES... -o docs/results/score-cases.json
 
-Data sets of `experiments.third_party` have a `truth.json` each; they are left out of a fit by converter. Of
-the truth of a record, "a|b" stands for either effect. A run that was broken off goes on where it stopped:
-CASES holds a file a case.
+CASES holds a file a case; a run that was broken off goes on where it stopped. `collect` also reads what
+`experiments.third_party run` writes: these cases are left out of a fit by converter. Of the truth of a
+record, "a|b" stands for either effect.
 """
 
 import argparse
 import json
 import tempfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,8 @@ Record = dict[str, Any]
 GROUPS = {"single": 3.0, "beside": 4.0, "null": 1.3, "outside": 3.0, "pair": 1.0, "deleted": 1.5}
 """How many cases of each group there are, relative to each other: one effect; one beside an out-of-library
 effect; a harmless mismatch; an out-of-library effect; two effects; one that is left out of those tried."""
-_SIZE = {"raw+jpeg": 128, "clean+noisy": 160}
-_COUNT = 6  # scenes
+_SIZE = {"raw+jpeg": 96, "clean+noisy": 128}
+_COUNT = 4  # scenes: many small cases tell more than few large ones
 
 
 def planned(kind: str, rounds: int = 4, seed: int = 54) -> list[Record]:
@@ -72,15 +71,16 @@ def planned(kind: str, rounds: int = 4, seed: int = 54) -> list[Record]:
     return [row for _, row in sorted(placed, key=lambda pair: pair[0])]
 
 
-def in_folders(folders: Sequence[Path]) -> Iterator[tuple[Record, Path]]:
-    """Data sets of others, each with a `truth.json`. All have what no effect of the library describes."""
-    for folder in folders:
-        said = json.loads((folder / "truth.json").read_text())
-        also = [name for name in said["also"] if name != "none"]
-        effect = said["truth"] not in ("none", "outside the library")
-        row = {"name": said["case"], "group": "third party", "camera": said["converter"], "beyond": True}
-        row |= {"truth": ["|".join([said["truth"], *also])] if effect else []}
-        yield row | {"also": [] if effect else also}, folder
+def of_third_party(record: Record) -> Record:
+    """A record of `experiments.third_party.run` as one of these; all have what no effect describes."""
+    said = record["truth"]
+    also = [name for name in said["also"] if name != "none"]
+    effect = said["truth"] not in ("none", "outside the library")
+    row = {"name": said["case"], "group": "third party", "camera": said["converter"], "beyond": True}
+    row |= {"truth": ["|".join([said["truth"], *also])] if effect else [], "also": [] if effect else also}
+    if "failed" in record:
+        return row | {"failed": record["failed"]}
+    return kept(row, record["report"] | {"seconds": record["seconds"]})
 
 
 def kept(row: Mapping[str, Any], report: Mapping[str, Any]) -> Record:
@@ -98,19 +98,18 @@ def kept(row: Mapping[str, Any], report: Mapping[str, Any]) -> Record:
     }
 
 
-def examined(row: Record, folder: Path | None, out: Path) -> None:
+def examined(row: Record, out: Path) -> None:
     """Diagnose a case that `out` does not hold yet."""
     from jaxisp.gap import diagnose
 
     path = out / (row["name"].replace(" ", "_") + ".json")
     if path.exists():
         return
-    with tempfile.TemporaryDirectory() as made:
-        if folder is None:
-            folder, kind = Path(made), row["kind"]
-            write(folder, row["camera"], dict(row["effects"]), kind, row["scenes"], _SIZE[kind], count=_COUNT)
+    with tempfile.TemporaryDirectory() as folder:
+        where, kind = Path(folder), row["kind"]
+        write(where, row["camera"], dict(row["effects"]), kind, row["scenes"], _SIZE[kind], count=_COUNT)
         try:
-            record = kept(row, diagnose(folder, exclude=row.get("exclude", ())).report)
+            record = kept(row, diagnose(where, exclude=row["exclude"]).report)
         except Exception as error:
             record = row | {"failed": repr(error)}
     write_text(path, json.dumps(record) + "\n")
@@ -119,7 +118,8 @@ def examined(row: Record, folder: Path | None, out: Path) -> None:
 
 def collected(folders: Sequence[Path]) -> list[Record]:
     """The records of all cases; those that failed are left out and printed."""
-    records = [json.loads(path.read_text()) for folder in folders for path in sorted(folder.glob("*.json"))]
+    read = [json.loads(path.read_text()) for folder in folders for path in sorted(folder.glob("*.json"))]
+    records = [record if "name" in record else of_third_party(record) for record in read]
     for record in records:
         if "failed" in record:
             print(f"failed: {record['name']}: {record['failed']}")
@@ -128,7 +128,7 @@ def collected(folders: Sequence[Path]) -> list[Record]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("run", "folders", "collect"))
+    parser.add_argument("what", choices=("run", "collect"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--limit", type=int, help="cases of each kind")
@@ -140,12 +140,9 @@ def main() -> None:
         return
     keep_compiled()
     asked.out.mkdir(parents=True, exist_ok=True)
-    for row, folder in in_folders(asked.paths):
-        examined(row, folder, asked.out)
-    if asked.what == "run":
-        for kind in asked.kind:
-            for row in planned(kind)[: asked.limit]:
-                examined(row, None, asked.out)
+    for kind in asked.kind:
+        for row in planned(kind)[: asked.limit]:
+            examined(row, asked.out)
 
 
 if __name__ == "__main__":

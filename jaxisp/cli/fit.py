@@ -56,6 +56,11 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--recipe", metavar="OUT.toml", help="also write a recipe of this camera for `jaxisp degrade`"
     )
+    command.add_argument(
+        "--noise",
+        metavar="NOISE.toml",
+        help="the sensor's noise from jaxisp calibrate (default: from the RAWs)",
+    )
     add_devices(command, "split it into N devices for the tiles (default: one device, a thread per core)")
 
 
@@ -64,7 +69,6 @@ def run(arguments: Namespace) -> int:
         use_cores(arguments.cpu_devices)
     import jax
 
-    from jaxisp.fit import prior_from_cameras
     from jaxisp.fit.journal import beside, in_the_way
     from jaxisp.fit.report import write_report
 
@@ -78,7 +82,7 @@ def run(arguments: Namespace) -> int:
             return report_failures(result.failed)
         result.camera.save(arguments.out)
         if arguments.recipe:
-            prior_from_cameras([result.camera]).save(arguments.recipe)
+            _recipe(result.camera, arguments).save(arguments.recipe)
         if arguments.report:
             write_report(result, arguments.report)
     if not blocked:
@@ -91,6 +95,18 @@ def run(arguments: Namespace) -> int:
     else:
         _print(result, arguments.out)
     return report_failures(result.failed)
+
+
+def _recipe(camera: Any, arguments: Namespace) -> Any:
+    """Of the camera; with calibrated noise, all of it at the ISO number of the pairs, where that is one."""
+    from jaxisp.calibrate import Calibrated, with_noise
+    from jaxisp.fit import prior_from_cameras
+
+    recipe = prior_from_cameras([camera])
+    if arguments.noise is None:
+        return recipe
+    known = Calibrated.load(arguments.noise)
+    return with_noise(recipe, known.at()) if len(known.noise) == 1 else recipe
 
 
 @contextmanager
@@ -122,6 +138,7 @@ def _fitted(arguments: Namespace) -> Any:
             starts=arguments.starts,
             hold_out=arguments.hold_out,
             per_image=arguments.per_image,
+            noise=arguments.noise,
             journal=beside(arguments.out),
             mesh=_mesh(bool(arguments.cpu_devices)),
             tick=tick,

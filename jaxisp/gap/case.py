@@ -79,6 +79,8 @@ class Case:
         floor_ci: the 90 % interval of the floor at the base; None where it is not known.
         floor_at: the floor, measured at a point; None where it is the same everywhere. What a file's
             compression takes of a soft picture is less than what it takes of a sharp one.
+        reference_gap: what the base leaves on a reference set, where one was given: the floor is no lower.
+        about: further facts on the base, for report.json.
     """
 
     kind: str
@@ -100,6 +102,8 @@ class Case:
     reference: np.ndarray | None = None
     floor_ci: tuple[float, float] | None = None
     floor_at: Callable[[Point], Floor] | None = None
+    reference_gap: float | None = None
+    about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def split(self) -> Split:

@@ -6,7 +6,7 @@ floor is below that.
 
 import dataclasses
 
-from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -126,4 +126,5 @@ CRITERIA = {
         anew=True,
     ),
 }
+CRITERIA[JPEG_JPEG] = CRITERIA[RAW_JPEG]
 """By kind of pairs."""

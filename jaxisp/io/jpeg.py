@@ -18,6 +18,7 @@ from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.jpeg_frame import Frame, frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.io.silence import silent_libraries
+from jaxisp.io.stated_color import StatedColor, stated_space
 from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
@@ -89,7 +90,7 @@ def read_jpeg(path: PathLike, *, to_srgb: bool = True) -> Jpeg:
 
     Raises:
         InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep; its profile
-            cannot be used.
+            or what its EXIF states of its colours cannot be used.
     """
     return decode_jpeg(read_bytes(path), str(path), to_srgb=to_srgb)
 
@@ -108,7 +109,7 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     icc = picture.info.get("icc_profile")
     exif, converted, space = exif_of(picture), False, None
     if to_srgb:
-        pixels, converted, space = _in_srgb(pixels, icc, exif.space, name)
+        pixels, converted, space = _in_srgb(pixels, icc, exif.color, name)
     return Jpeg(
         pixels=pixels,
         tables=_tables(picture, name),
@@ -181,10 +182,10 @@ def _color_space(frame: Frame, picture: Any) -> str:
 
 
 def _in_srgb(
-    pixels: np.ndarray, icc: bytes | None, stated: ColorSpace | None, name: str
+    pixels: np.ndarray, icc: bytes | None, stated: StatedColor, name: str
 ) -> tuple[np.ndarray, bool, ColorSpace | None]:
     """Pixels in sRGB, whether they had to be changed, and from which space where that is no table."""
-    space = profile_space(icc, name) if icc else stated
+    space = profile_space(icc, name) if icc else stated_space(stated, name)
     if space is None and icc:
         return by_tables(pixels, icc, name), True, None
     if space is None or space.is_srgb:

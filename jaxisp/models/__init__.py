@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,7 +13,9 @@ from jaxisp.errors import InputError
 from jaxisp.models.dncnn import DnCNN
 from jaxisp.models.fast import FastNet
 from jaxisp.models.ffdnet import FFDNet
+from jaxisp.models.files import fill, read_arrays, save_network
 from jaxisp.models.inference import denoise
+from jaxisp.models.levels import LevelNet
 from jaxisp.models.n3net import N3Net
 from jaxisp.models.nafnet import NAFNet
 from jaxisp.models.unet import UNet
@@ -20,6 +23,7 @@ from jaxisp.models.unet import UNet
 MODELS: dict[str, Callable[..., nnx.Module]] = {
     "fast": FastNet,
     "unet": UNet,
+    "levelnet": LevelNet,
     "dncnn6": functools.partial(DnCNN, depth=6),
     "dncnn17": DnCNN,
     "ffdnet": FFDNet,
@@ -40,6 +44,11 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
 
     Raises:
         InputError: no such network or option.
+
+    Example:
+        >>> import numpy as np
+        >>> make_model("fast")(np.zeros((1, 16, 16, 3), np.float32)).shape
+        (1, 16, 16, 3)
     """
     if name not in MODELS:
         raise InputError(f"no model named {name!r}; there are {', '.join(MODELS)}")
@@ -47,6 +56,26 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
         return MODELS[name](rngs=nnx.Rngs(seed), **options)
     except TypeError as error:
         raise InputError(f"model {name!r}: {error}") from None
+
+
+def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
+    """The network of a file that `save_network` wrote, and what is kept with it: "model", "options" and more.
+
+    Raises:
+        InputError: it cannot be read, or holds no network.
+    """
+    arrays, about = read_arrays(path)
+    if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
+        raise InputError(f"{path}: does not say which network it holds")
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
+    model = make_model(about["model"], **options)
+    fill(model, arrays, path)
+    return model, about
+
+
+def load_weights(model: nnx.Module, path: str | Path) -> None:
+    """Give a network the weights in a file of its kind. Raises InputError where they do not fit."""
+    fill(model, read_arrays(path)[0], path)
 
 
 def count_parameters(model: nnx.Module) -> int:
@@ -59,10 +88,14 @@ __all__ = [
     "DnCNN",
     "FFDNet",
     "FastNet",
+    "LevelNet",
     "N3Net",
     "NAFNet",
     "UNet",
     "count_parameters",
     "denoise",
+    "load_weights",
     "make_model",
+    "read_network",
+    "save_network",
 ]

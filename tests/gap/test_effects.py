@@ -78,9 +78,11 @@ _WAYS = {
     "lateral_chromatic_aberration": ("sharpness",),
     "resampling": ("shares",),
     "chroma_subsampling": ("sampled", "repeated"),
-    "local_tone_mapping": ("sigma", "edges"),
+    "local_tone_mapping": ("sigma", "edges", "clip"),
+    "sharpening": ("threshold", "limit"),
 }
-"""Of what another move does."""
+"""Of what another move does: the first, unless it is named below."""
+_DONE_BY = {"clip": "equalization"}
 
 
 def test_every_move_shows(model):
@@ -93,7 +95,9 @@ def test_every_move_shows(model):
         z = np.zeros(len(model.coordinates))
         start = before
         if coordinate.move.field in _WAYS.get(coordinate.node, ()):
-            first = model.indices([coordinate.node])[0]
+            own = model.indices([coordinate.node])
+            done_by = _DONE_BY.get(coordinate.move.field, model.coordinates[own[0]].move.field)
+            first = next(k for k in own if model.coordinates[k].move.field == done_by)
             z[first] = min(0.5, model.ranges[1, first])
             start = model.render(z, light)
         z[i] = step

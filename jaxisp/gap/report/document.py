@@ -26,12 +26,14 @@ from jaxisp.gap.report.record import (
 )
 from jaxisp.gap.search.refit import clustered
 from jaxisp.gap.search.verdict import Found
-from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.simulator.effects import JPEG_JPEG, RAW_JPEG
 from jaxisp.gap.simulator.model import Model
 
 METRIC = {
     RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
     "summed over the three channels, large errors of single edges weighed down",
+    JPEG_JPEG: "mean square difference of the second picture and what is made of the first in Y'CbCr, "
+    "squared 8-bit steps, summed over the three channels",
     "clean+noisy": "mean square difference of the statistics of the residual, mean error included, in "
     "units of what is harmless or chance (squared), those weighed up that differ on the fitted pairs",
 }
@@ -75,7 +77,8 @@ def report_of(
     return {
         "schema": 1,
         "kind": case.kind,
-        "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended),
+        "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended)
+        | case.about,
         "pairs": {
             "fit": [case.pairs.names[i] for i in case.split.fit],
             "held_out": [case.pairs.names[i] for i in held],
@@ -86,7 +89,8 @@ def report_of(
             "unit": gap.unit, "floor_ci": list(gap.floor_ci or (gap.floor, gap.floor)),
             "ci": _interval(case, found, after(gap, found)),
             "axes": {row["axis"]: row["size"] for row in where},
-        } | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
+        } | ({} if case.reference_gap is None else {"reference": case.reference_gap})
+        | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "probabilities": dict(likely),
@@ -110,7 +114,8 @@ def _power(smallest: Mapping[str, tuple[int, float]], model: Model) -> dict[str,
 
 
 def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
-    """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled."""
+    """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled; what
+    RAW files state that is not applied."""
     rows = {row["name"]: row for row in aligned.rows}
     return {
         "aligned": [row for name, row in rows.items() if name not in outliers],
@@ -122,6 +127,11 @@ def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
             {"name": pair.name, "reason": why}
             for pair in aligned.kept
             if pair.jpeg and (why := no_encoder(pair.jpeg))
+        ],
+        "raw_notes": [
+            {"name": pair.name, "notes": list(pair.raw.notes)}
+            for pair in aligned.kept
+            if pair.raw and pair.raw.notes
         ],
     }
 

@@ -41,6 +41,9 @@ _PLOTS, _BARS = 6, 8
 _LEAST_SHARE = 0.005  # least share of an axis that is listed
 _MOVED = 0.005  # least relative change of a stage's parameters that is listed
 _MORE = 0.02  # share of the gap by which one effect must close more than another to be mentioned
+_KINDS = {
+    "raw+jpeg": "RAW+JPEG pairs", "clean+noisy": "clean+noisy pairs", "jpeg+jpeg": "pairs of two JPEGs",
+}  # fmt: skip
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
@@ -103,7 +106,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
     statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
-        kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
+        kind=_KINDS[report["kind"]],
         verdict=sentence(report),
         summary=_summary(report),
         warning=begun(few_pairs(report)),
@@ -398,6 +401,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     aside = [f["reason"] for f in pairs.get("failed", ())]
     aside += [f"{p['name']}: {p['reason']}" for p in pairs.get("left_out", ())]
     unmodelled = (f"{p['name']}: {p['reason']}" for p in pairs.get("encoder_not_modelled", ()))
+    noted = (f"{p['name']}: {'; '.join(p['notes'])}" for p in pairs.get("raw_notes", ()))
     moved = [p for p in pairs.get("aligned", ()) if p["done"] != "nothing"]
     placed = (f"{p['name']} {p['done']} ({', '.join(f'{v:.1f}' for v in p['shift_px'])} px)" for p in moved)
     rows = [
@@ -415,6 +419,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("left aside", "; ".join(aside)),
         ("JPEG encoder not modelled", "; ".join(unmodelled)),
+        ("about the RAW files", "; ".join(noted)),
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]
