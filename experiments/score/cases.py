@@ -23,7 +23,7 @@ from experiments.withheld.effects import ABSORBABLE, KINDS, NULLS, OUTSIDE, PAIR
 from experiments.withheld.scenes import SETS
 from experiments.withheld.shoot import write
 from jaxisp.io.files import write_text
-from jaxisp.process import keep_compiled
+from jaxisp.process.cache import keep_compiled
 
 Record = dict[str, Any]
 GROUPS = {"single": 3.0, "beside": 4.0, "null": 1.3, "outside": 3.0, "pair": 1.0, "deleted": 1.5}

@@ -1,7 +1,7 @@
 """Fit the score to cases whose effects are known, and say how far it can be trusted.
 
-    python -m experiments.score.fit docs/results/score-cases.json -o jaxisp/gap/search/score.json \
-        --page docs/results/score.md
+    python -m experiments.score.fit docs/results/score-cases.json --study docs/results/diagnosis.json \
+        -o jaxisp/gap/search/score.json --page docs/results/score.md
 
 Logistic regressions with a ridge; the weight of each sign has the side that its meaning gives it, or is 0.
 All figures are of cameras that were left out of the fit, one camera at a time.
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from experiments.withheld.effects import ABSORBABLE, PAIRED
 from experiments.withheld.tables import table, wilson
 from jaxisp.gap.case import Gap
 from jaxisp.gap.criteria import CRITERIA
@@ -34,12 +35,13 @@ SIDES: dict[str, dict[str, int]] = {
         "halves": 1, "nearer": 1, "contrary": -1, "own_fell": 1, "other_fell": 1, "place_left": -1,
         "worse": -1, "left": -1, "later": -1,
     },
-    score.GRAIN: {"size": 1, "closed": 1, "lead": 1, "own_share": 1},
+    score.GRAIN: {"size": 1, "closed": 1},
     score.OTHER: {"left": 1, "share_left": 1},
-    score.NONE: {"gap": -1, "likeliest": -1},
+    score.NONE: {"gap": -1},
 }  # fmt: skip
 """By question, the signs that are used and the side of their weights."""
 _RIDGE = 1.0  # observations by which each standardised weight is held to 0
+_CHANCE = 0.2
 _BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 
 
@@ -89,10 +91,12 @@ def fitted(rows: Sequence[Row], question: str) -> dict[str, Any]:
 
 
 def fit_all(records: Sequence[Record]) -> dict[str, Any]:
-    """The whole of `score.json`."""
-    effects, grain = (effect_rows(records, grain) for grain in (False, True))
+    """The whole of `score.json`; records of the study only tell whether nothing is missing."""
+    own = [record for record in records if record["group"] != "study"]
+    effects, grain = effect_rows(own, False), effect_rows(records, True)
     found = {score.EFFECT: fitted(effects, score.EFFECT), score.GRAIN: fitted(grain, score.GRAIN)}
-    return found | {q: fitted(left_rows(records, found, q), q) for q in (score.OTHER, score.NONE)}
+    found |= {score.OTHER: fitted(left_rows(own, found, score.OTHER), score.OTHER)}
+    return found | {score.NONE: fitted(left_rows(records, found, score.NONE), score.NONE)}
 
 
 def probabilities(record: Record, found: Mapping[str, Any]) -> dict[str, float]:
@@ -121,6 +125,33 @@ def left_rows(records: Sequence[Record], found: Mapping[str, Any], question: str
     return rows
 
 
+def of_study(found: Mapping[str, Any]) -> list[Record]:
+    """Cases of the withheld study: how large is a gap without an effect, and what does film grain close?
+
+    No other signs are known of them. Of film grain only those cases have signs in which it was named.
+    """
+    cases = {name: r for group in ("nulls", "main") for name, r in found[group]["cases"].items()}
+    rows = []
+    for name, r in cases.items():
+        named = [effect for effect, _ in r["effects"]]
+        if r["split"] not in ("nulls", "develop", "sealed", "outside", "pairs") or set(named) & set(
+            ABSORBABLE
+        ):
+            continue
+        if "gap" in r:
+            # the floor of statistics was 1, which is what is harmless; chance is about a fifth of it
+            floor = r["gap"]["floor"] if r["kind"] == PAIRED else _CHANCE
+            row = {"name": name, "kind": r["kind"], "camera": r["body"], "group": "study", "signs": {}}
+            row |= {"gap": {"before": r["gap"]["before"], "floor": floor}, "closed": {}, "found": []}
+            if r["kind"] == PAIRED and "film_grain" in r.get("closed", {}):
+                whole = Gap(r["gap"]["before"], floor, CRITERIA[PAIRED].least_unit)
+                size = float(np.log2(1 + r["ci"]["film_grain"][0] * whole.scale / whole.unit))
+                row["signs"] = {"film_grain": {"size": size, "closed": r["closed"]["film_grain"]}}
+            truth = named if "film_grain" in named else []
+            rows.append(row | {"truth": truth, "beyond": r["split"] != "nulls"})
+    return rows
+
+
 def left_out(records: Sequence[Record], fit: Callable[[Sequence[Record]], Any]) -> dict[str, Any]:
     """By camera, the score fitted to all other cameras."""
     cameras = sorted({record["camera"] for record in records})
@@ -136,6 +167,8 @@ def answers(records: Sequence[Record], scores: Mapping[str, Any]) -> dict[str, l
             question = score.GRAIN if "form" not in record["signs"][effect] else score.EFFECT
             found[question].append((p, is_true(effect, record)))
         for question in (score.OTHER, score.NONE):
+            if question == score.OTHER and record["group"] == "study":
+                continue
             for _, _, answer, signs in left_rows([record], own, question):
                 found[question].append((score.logistic(own[question], signs), answer))
     return found
@@ -177,7 +210,7 @@ def named_by(record: Record, likely: Mapping[str, float], bar: float) -> list[st
 def comparison(records: Sequence[Record], scores: Mapping[str, Any]) -> str:
     """Rules and score on the same cases, by group."""
     rows = []
-    groups = dict.fromkeys((r["kind"], r["group"]) for r in records)
+    groups = dict.fromkeys((r["kind"], r["group"]) for r in records if r["group"] != "study")
     for kind, group in sorted(groups):
         own = [r for r in records if (r["kind"], r["group"]) == (kind, group)]
         known = [r for r in own if r["truth"]]
@@ -201,6 +234,7 @@ def comparison(records: Sequence[Record], scores: Mapping[str, Any]) -> str:
 
 def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[str, Any], command: str) -> str:
     """The results as Markdown."""
+    own = [record for record in records if record["group"] != "study"]
     said = answers(records, scores)
     kinds = sorted({record["kind"] for record in records})
     by_kind = {kind: answers([r for r in records if r["kind"] == kind], scores) for kind in kinds}
@@ -208,13 +242,14 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
         [question, kind, len(own), sum(answer for _, answer in own), f"{brier(own):.3f}",
          f"{_alone(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}"]
         for question in SIDES
-        for kind, own in [("all", said[question]), *((k, found[question]) for k, found in by_kind.items())]
+        for kind, own in [("all", said[question]), *((k, rows[question]) for k, rows in by_kind.items())]
         if own
     ]  # fmt: skip
     lines = [
         "# The score of the diagnosis", "",
         f"```sh\npython -m experiments.score.fit {command}\n```", "",
-        f"{len(records)} cases of {len({r['camera'] for r in records})} cameras. Every figure is of the "
+        f"{len(own)} cases of {len({r['camera'] for r in own})} cameras, and for the question whether "
+        f"nothing is missing {len(records) - len(own)} of the withheld study. Every figure is of the "
         "score that was fitted without the case's camera; a converter of third parties counts as one camera. "
         "The signs, and the sides of their weights, were chosen on these cases.", "",
         "## Rules and score", "",
@@ -259,10 +294,11 @@ def _alone(rows: Sequence[tuple[float, bool]]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", type=Path)
+    parser.add_argument("--study", type=Path, required=True, help="results of the withheld study")
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--page", type=Path, required=True)
     asked = parser.parse_args()
-    records = json.loads(asked.cases.read_text())["cases"]
+    records = json.loads(asked.cases.read_text())["cases"] + of_study(json.loads(asked.study.read_text()))
     found = fit_all(records)
     write_text(asked.out, json.dumps(found, indent=1) + "\n")
     write_text(asked.page, page(records, found, left_out(records, fit_all), " ".join(sys.argv[1:])))

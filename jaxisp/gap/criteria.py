@@ -67,7 +67,7 @@ class Criteria:
     Film grain, and what is named:
         grain_of_rest: share of what causes leave that film grain must close: what another effect leaves in
             flat areas is less.
-        named: probability from which an effect is named.
+        named: probability from which an effect is named; the report says how sure it is.
 
     What the report says:
         clear: p-value, held against the null bank, above which an axis is not said to have a gap.
@@ -101,7 +101,7 @@ class Criteria:
     between_forms: float = 0.9
     chosen_anew: float = 0.98
     grain_of_rest: float = 0.5
-    named: float = 0.5
+    named: float = 0.3
     clear: float = 0.05
     by_chance: float = 0.01
     named_axis: float = 0.02

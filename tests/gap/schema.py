@@ -25,7 +25,9 @@ def keeps_the_schema(report):
     likely = report["probabilities"]
     assert {"other", "none"} <= set(likely) and all(0 <= p <= 1 for p in likely.values())
     assert set(likely) - {"other", "none"} <= set(EFFECTS)
-    assert all(cause["probability"] == likely[cause["effect"]] >= 0.5 for cause in causes)
+    assert all(
+        cause["probability"] == likely[cause["effect"]] >= CRITERIA[report["kind"]].named for cause in causes
+    )
     assert (report["verdict"] == "none") == ("power" in report)
     _ranking(report["ranking"], causes)
     _where(report["verdict"], report["where"], gap)

@@ -58,6 +58,14 @@ def test_more_than_the_gap_is_all_of_it():
     )
 
 
+@pytest.mark.parametrize(("least", "verb"), [(0.95, "lacks"), (0.7, "probably lacks"), (0.4, "may lack")])
+def test_the_headline_is_as_sure_as_the_score(least, verb):
+    cause = CAUSE | {"probability": least}
+    assert sentence(changed(causes=[cause])).startswith(f"The simulator {verb} vignetting (probability ")
+    both = sentence(changed(causes=[CAUSE, cause]))
+    assert both.startswith(f"The simulator {verb} 2 effects, which close ")
+
+
 def test_what_it_says():
     text = html(REPORT, PICTURES).replace("\N{NO-BREAK SPACE}", " ")
     first = (

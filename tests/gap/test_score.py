@@ -31,15 +31,16 @@ def test_a_probability_is_a_logistic_regression():
     assert 0 < score.logistic(row, {"size": -1e6, "closed": 0.0}) < 1e-12
 
 
-def test_a_fit_finds_the_weights_that_made_the_answers():
+def test_a_fit_finds_the_weights_that_made_the_answers(monkeypatch):
     """Of 4000 rows drawn from a known logistic; a sign without a meaning, or of the other side, has none."""
     rng = np.random.default_rng(1)
-    names = list(SIDES[score.GRAIN])
+    names = ["size", "closed", "surely", "lead"]
+    monkeypatch.setitem(SIDES, "x", dict.fromkeys(names, 1))
     values = rng.normal(size=(4000, len(names)))
     true = np.array([1.5, 0.7, 0.0, -0.3])
     answers = rng.uniform(size=4000) < 1 / (1 + np.exp(0.5 - values @ true))
     rows = [({}, "x", bool(a), dict(zip(names, v))) for a, v in zip(answers, values)]
-    found = fitted(rows, score.GRAIN)
+    found = fitted(rows, "x")
     weights = {name: weight / deviation for name, (_, deviation, weight) in found["signs"].items()}
     assert weights[names[0]] == pytest.approx(1.5, abs=0.2) and weights[names[1]] == pytest.approx(
         0.7, abs=0.2

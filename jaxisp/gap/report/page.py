@@ -44,6 +44,7 @@ _MORE = 0.02  # share of the gap by which one effect must close more than anothe
 _KINDS = {
     "raw+jpeg": "RAW+JPEG pairs", "clean+noisy": "clean+noisy pairs", "jpeg+jpeg": "pairs of two JPEGs",
 }  # fmt: skip
+_SURE, _LIKELY = 0.9, 0.5  # probabilities from which the verdict says "lacks" and "probably lacks"
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
@@ -143,19 +144,24 @@ def sentence(report: Mapping[str, Any]) -> str:
         share = f"{percent(c['closed'])} {span(c['ci'])}"
         # above 1 if the remaining gap is below the floor
         closed = f"all of the gap ({share})" if c["closed"] > 1 else f"{share} of the gap"
-        sure = f" (probability {percent(c['probability'])})" if finite(c.get("probability")) else ""
-        return f"The simulator lacks {_group(c)}{sure}: it closes {closed} on held-out pairs{rest}"
+        sure = f"probability {percent(c['probability'])}"
+        return f"The simulator {_lacks(c)} {_group(c)} ({sure}): it closes {closed} on held-out pairs{rest}"
     each = "; ".join(f"{_group(c)} ({_told(c)})" for c in causes)
     return (
-        f"The simulator lacks {len(causes)} effects, which close "
+        f"The simulator {_lacks(*causes)} {len(causes)} effects, which close "
         f"{percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}{rest}"
     )
 
 
+def _lacks(*causes: Mapping[str, Any]) -> str:
+    """The verb of the verdict, by the lowest probability of the causes."""
+    least = min(cause["probability"] for cause in causes)
+    return "lacks" if least >= _SURE else "probably lacks" if least >= _LIKELY else "may lack"
+
+
 def _told(cause: Mapping[str, Any]) -> str:
     """The share that a cause closes, with its interval and its probability."""
-    sure = f", probability {percent(cause['probability'])}" if finite(cause.get("probability")) else ""
-    return f"{percent(cause['closed'])} {span(cause['ci'])}{sure}"
+    return f"{percent(cause['closed'])} {span(cause['ci'])}, probability {percent(cause['probability'])}"
 
 
 def _nearest(report: Mapping[str, Any]) -> str:

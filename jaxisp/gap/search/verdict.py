@@ -20,7 +20,6 @@ from jaxisp.gap.search.signs import Signs, left_signs, signs
 from jaxisp.gap.search.states import Shown, shown
 from jaxisp.gap.search.stepwise import Searched, Terms, ended, replayed, search
 from jaxisp.gap.search.trial import Cause, Trial, Whole
-from jaxisp.gap.simulator.effects import EFFECTS
 
 _LOCATED = 4
 """Trials of the first step whose axes are measured: those that close most."""
@@ -123,7 +122,7 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     trials, predicted = found.trials, found.predicted
     if case.stored is not None:
         grain = _grain(case, at, gap.scale, terms.least)
-        noted[grain.effect] = own = grain_signs(gap, grain, found, before)
+        noted[grain.effect] = own = grain_signs(gap, grain)
         probable[grain.effect] = score.probability(score.GRAIN, own)
         if terms.most and probable[grain.effect] >= criteria.named:
             causes = with_grain(causes, grain, gap.floor, criteria)
@@ -191,16 +190,11 @@ def named(
     return [(trial, alike) for trial, (_, alike) in zip(trials, kept)], at
 
 
-def grain_signs(gap: Gap, grain: Trial, found: Searched, before: Shown) -> dict[str, float]:
+def grain_signs(gap: Gap, grain: Trial) -> dict[str, float]:
     """The signs of film grain beside a RAW, which moves no parameter and lowers no error."""
-    others = max((t.closed for t in found.trials.values()), default=0.0)
-    axes = {row["axis"]: row["share"] for row in before.rows}
-    closed = max(grain.closed, 1e-3)
     return {
         "size": float(np.log2(1 + max(grain.low * gap.scale / gap.unit, 0.0))),
         "closed": float(np.clip(grain.closed, 0, 1.2)),
-        "lead": float(np.clip(1 - others / closed, -1, 1)),
-        "own_share": float(sum(axes.get(axis, 0.0) for axis in EFFECTS["film_grain"].axes)),
     }
 
 
