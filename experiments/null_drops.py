@@ -56,7 +56,8 @@ def drops(report: Mapping[str, Any]) -> Record:
 
 def looked_at(case: Case) -> Record:
     """One null, diagnosed as if its gap were worth it."""
-    criteria = dataclasses.replace(CRITERIA[case.kind], null_drop=-np.inf, most_causes=1)
+    criteria = CRITERIA[case.kind]
+    criteria = dataclasses.replace(criteria, null_drop=-np.inf, null_excess=0.0, most_causes=1)
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder), case.body, dict(case.effects), case.kind, case.scenes)
         return {"case": case.name, "kind": case.kind} | drops(diagnose(folder, criteria=criteria).report)

@@ -36,7 +36,7 @@ def report(verdict: str, *causes: str) -> dict[str, object]:
         "causes": made,
         "ranking": [{"effect": c, "status": "accepted"} for c in causes],
         "base": {"absorbed": {}},
-        "gap": {"before": 3.0, "floor": 1.0},
+        "gap": {"before": 3.0, "floor": 1.0, "unit": 1.0},
         "where": [],
         "unexplained": {"axes": []},
         "seconds": 1.0,
@@ -81,17 +81,19 @@ def test_what_lowers_the_gap_of_a_camera_that_lacks_nothing() -> None:
         {"effect": "row_noise", "closed": 7.0},  # as predicted
     ]
     of = {"kind": "clean+noisy", "gap": {"before": 0.5, "floor": 0.5}, "ranking": ranking}
-    found = null_drops.drops(of)  # shares are of 0.02 floors
-    assert found["lowered"]["prnu"] == pytest.approx([0.08, 0.04]) and len(found["lowered"]) == 2
+    found = null_drops.drops(of)  # shares are of 0.02 floors, and a unit is 1
+    assert found["lowered"]["prnu"] == pytest.approx([0.04, 0.02]) and len(found["lowered"]) == 2
     assert null_drops.most(found)[0] == "prnu" and null_drops.most({"lowered": {}})[1:] == (0.0, 0.0)
     text = null_drops.page([{"case": "a", "kind": "clean+noisy"} | found], "--limit 1")
-    assert "| clean+noisy | 1 | 0.08 | 0.08 | 0.04 | 0.04 | 0.7 |" in text and "| a | 0.00 | prnu | " in text
+    assert "| clean+noisy | 1 | 0.04 | 0.04 | 0.02 | 0.02 | 0.7 |" in text and "| a | 0.00 | prnu | " in text
 
 
 def test_nulls_are_searched_for_one_cause_though_their_gap_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
     def diagnosis(folder: str, criteria: Criteria) -> SimpleNamespace:
         assert len(list(Path(folder).glob("*.jpg"))) == 8
-        assert criteria == dataclasses.replace(CRITERIA[KINDS[1]], null_drop=-np.inf, most_causes=1)
+        assert criteria == dataclasses.replace(
+            CRITERIA[KINDS[1]], null_drop=-np.inf, null_excess=0.0, most_causes=1
+        )
         gap = {"before": 1.5, "floor": 1.0}
         return SimpleNamespace(report={"kind": KINDS[1], "gap": gap, "ranking": []})
 
@@ -133,12 +135,12 @@ def test_scenes_may_have_several_frames(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize(("more", "excluded"), [(-0.01, [34]), (0.0, [34, 0])])
 def test_nulls_whose_gap_is_too_small_are_not_searched(kind: str, more: float, excluded: list[int]) -> None:
     """A diagnosis looks for no effect there, so that the verdict is the same."""
-    assert _TOO_SMALL[kind] < 1 + CRITERIA[kind].null_drop < _TOO_SMALL[kind] + 0.15
+    assert _TOO_SMALL[kind] < CRITERIA[kind].null_drop < _TOO_SMALL[kind] + 0.15
     tried = []
 
     def diagnosis(folder: Path, exclude: list[str]) -> dict[str, object]:
         tried.append(len(exclude))
-        return report("none") | {"gap": {"before": _TOO_SMALL[kind] + more, "floor": 1.0}}
+        return report("none") | {"gap": {"before": 1 + _TOO_SMALL[kind] + more, "floor": 1.0, "unit": 1.0}}
 
     examine(next(cases(kind, "nulls", ["alder"], [1])), diagnosis, size=64, count=2)
     assert tried == excluded

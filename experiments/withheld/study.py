@@ -38,8 +38,8 @@ from .effects import (
 from .scenes import GREY, SETS
 
 _CASES = 12  # of one process: programs for every camera that it has seen come to gigabytes
-_TOO_SMALL = {"raw+jpeg": 1.05, "clean+noisy": 1.6}
-"""In floors: a diagnosis looks for effects in gaps of 1.1 and 1.7 on."""
+_TOO_SMALL = {"raw+jpeg": 0.05, "clean+noisy": 0.6}
+"""Above the floor, in units: a diagnosis looks for effects in gaps of 0.1 and 0.7 on."""
 Report = dict[str, Any]
 Diagnose = Callable[..., Report]
 SCENES = {
@@ -141,7 +141,8 @@ def _report(case: Case, folder: Path, diagnose: Diagnose, untried: bool) -> Repo
         return diagnose(folder, exclude=every)
     if case.split == "nulls":
         report = diagnose(folder, exclude=every)
-        if report["gap"]["before"] < _TOO_SMALL[case.kind] * report["gap"]["floor"]:
+        gap = report["gap"]
+        if gap["before"] - gap["floor"] < _TOO_SMALL[case.kind] * gap["unit"]:
             return report
     hidden = {"deleted": [name for name, _ in case.effects], "alone": every}.get(case.split, [])
     return diagnose(folder, exclude=hidden)

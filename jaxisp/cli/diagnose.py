@@ -122,12 +122,12 @@ def _print(report: dict[str, Any]) -> None:
         + f"; {left}" * bool(left)
     )
     rows = [
-        (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
-         ", ".join(c["alternatives"]) or "-")
+        (c["effect"], c["site"], f"{c['probability']:.2f}", f"{c['closed']:.2f}",
+         f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}", ", ".join(c["alternatives"]) or "-")
         for c in report["causes"]
     ]  # fmt: skip
     if rows:
-        print_table(("cause", "site", "closes", "90 % interval", "alternatives"), rows)
+        print_table(("cause", "site", "probability", "closes", "90 % interval", "alternatives"), rows)
     else:
         say(sentence(report))
     for text in next_measurements(report):

@@ -17,12 +17,28 @@ Tick = Callable[[int, int, str], Any]
 """Told (done, total, text) as work goes on."""
 
 
+class Floor(NamedTuple):
+    """The gap of a right simulator: what chance, rounding and the files' own compression leave.
+
+    Attributes:
+        each: (N,) by pair.
+        ci: the 90 % interval [low, high] of its mean over the held-out pairs.
+    """
+
+    each: np.ndarray
+    ci: tuple[float, float]
+
+
 class Gap(NamedTuple):
-    """On the held-out pairs, at the base; `least` is the unit where the floor is below."""
+    """On the held-out pairs, at the base; `least` is the unit where the floor is below.
+
+    `floor_ci` is the 90 % interval of the floor; None where it was not measured.
+    """
 
     before: float
     floor: float
     least: float = 0.0
+    floor_ci: tuple[float, float] | None = None
 
     @property
     def scale(self) -> float:
@@ -49,7 +65,7 @@ class Case:
         pairs: what is compared.
         evidence: what the search minimises.
         point: where the base stands.
-        floors: (N,) the gap of each pair that a right simulator would leave.
+        floors: (N,) the gap of each pair that a right simulator would leave, at the base.
         absorbed: what the base absorbed of each effect that is part of it; None where that was not measured.
         offered: effects that are tried.
         pixels, statistics: `evidence` by its own type, for what only pixels or only statistics tell.
@@ -60,6 +76,9 @@ class Case:
         unidentifiable: effects that are part of the base and that these pairs cannot show.
         outliers: pairs that were left out, since the base's tones do not carry over to them.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
+        floor_ci: the 90 % interval of the floor at the base; None where it is not known.
+        floor_at: the floor, measured at a point; None where it is the same everywhere. What a file's
+            compression takes of a soft picture is less than what it takes of a sharp one.
         reference_gap: what the base leaves on a reference set, where one was given: the floor is no lower.
         about: further facts on the base, for report.json.
     """
@@ -81,6 +100,8 @@ class Case:
     unidentifiable: tuple[str, ...] = ()
     outliers: tuple[str, ...] = ()
     reference: np.ndarray | None = None
+    floor_ci: tuple[float, float] | None = None
+    floor_at: Callable[[Point], Floor] | None = None
     reference_gap: float | None = None
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -93,4 +114,13 @@ class Case:
         """At the base."""
         held = list(self.split.held_out)
         before = float(np.nanmean(self.evidence.units(self.point)[held]))
-        return Gap(before, float(min(self.floors[held].mean(), before)), self.criteria.least_unit)
+        floor = float(self.floors[held].mean())
+        return Gap(before, min(floor, before), self.criteria.least_unit, self.floor_ci)
+
+    def gap_above(self, gap: Gap, point: Point) -> Gap:
+        """The gap at the base, above the floor that a point has."""
+        if self.floor_at is None:
+            return gap
+        floor = self.floor_at(point)
+        mean = float(floor.each[list(self.split.held_out)].mean())
+        return gap._replace(floor=min(mean, gap.before), floor_ci=floor.ci)

@@ -6,7 +6,7 @@ floor is below that.
 
 import dataclasses
 
-from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -14,9 +14,10 @@ class Criteria:
     """Thresholds of a diagnosis.
 
     The gap:
-        least_unit: [squared 8-bit steps] the unit where the floor is smaller. Most compressed files have a
+        least_unit: the unit where the floor is smaller. In squared 8-bit steps: most compressed files have a
             floor of 4 to 36; what is harmless is no smaller where a file is not compressed, and its floor
-            0.1. 0 for statistics, whose floor is 1.
+            0.1. Of statistics 1: their differences are in units of what is harmless, of which chance is a
+            part.
         null_excess: [units] how far above the floor the gap of a camera that lacks nothing may be: its
             demosaicker and its order of steps are not quite the base's. From the null bank's cameras.
         null_drop: [units] by how much an effect may lower that camera's gap all the same. Measured by
@@ -36,8 +37,8 @@ class Criteria:
             effects lower some statistics a little. 0 of pixels.
 
     Effects beside each other:
-        leading: share that the first cause must close: less does not account for a gap, an out-of-library
-            effect looks like that.
+        leading: share that an effect must close to be preferred to one that closes more, because pixels or
+            the files show it; film grain must close as much.
         as_much: share of what the best closes from which on another closes about as much: a form that is not
             quite right costs a fifth.
         imitated: share of what an effect closes that another must close to be preferred where the first can
@@ -49,6 +50,8 @@ class Criteria:
             it is told apart.
 
     The search:
+        begins: share that the first effect must close for others to be looked for beside it, unless it closes
+            more than `null_excess`.
         most_causes: effects that are accepted at most.
         refitted: effects of a step that are refitted: those that close most by screening.
         predicted: share that an effect must close by screening to be refitted.
@@ -61,21 +64,10 @@ class Criteria:
         chosen_anew: share of the error that another variant of the base must leave beside an effect to be
             taken.
 
-    Whether causes account for a gap (`account`), from the withheld study's cameras (docs/diagnosis.md):
-        accounted: pairs of [units] and shares: where causes leave more than the first above the floor, all
-            together must close the second.
-        accounted_nearer: likewise, where causes bring pixels nearer by `farthest`.
-        main_axis: share of the gap an axis must have to be one that it lies on.
-        kept, seen: share of that, and [units], that may be left on such an axis.
-        formless: axes that any error of form shows on, and rounding and compression. Of statistics all but
-            those of place and direction: how much of the noise a filter takes out, and at which scale, is a
-            matter of its form.
-        sure: p-value below which an axis has something left; statistics have chance in their unit.
-        above_floor: whether the axes' shares are of what is above the floor, as those of statistics are.
-        clearly_off: times the noise that a bias of pixels must be to say that edges are elsewhere.
-        still_off: share of that bias that may be left.
+    Film grain, and what is named:
         grain_of_rest: share of what causes leave that film grain must close: what another effect leaves in
             flat areas is less.
+        named: probability from which an effect is named; the report says how sure it is.
 
     What the report says:
         clear: p-value, held against the null bank, above which an axis is not said to have a gap.
@@ -100,6 +92,7 @@ class Criteria:
     simpler: float = 0.98
     apart: float
     left_alike: float = 2.0
+    begins: float = 0.1
     most_causes: int = 3
     refitted: int = 6
     predicted: float = 0.01
@@ -107,17 +100,8 @@ class Criteria:
     hopeless: float = 4.0
     between_forms: float = 0.9
     chosen_anew: float = 0.98
-    accounted: tuple[tuple[float, float], ...]
-    accounted_nearer: tuple[tuple[float, float], ...] = ((0.5, 0.67),)
-    main_axis: float = 0.1
-    kept: float
-    seen: float
-    formless: frozenset[str]
-    sure: float
-    above_floor: bool
-    clearly_off: float = 3.0
-    still_off: float = 0.5
     grain_of_rest: float = 0.5
+    named: float = 0.3
     clear: float = 0.05
     by_chance: float = 0.01
     named_axis: float = 0.02
@@ -132,27 +116,14 @@ CRITERIA = {
         least_of_rest=0.0,
         apart=float("inf"),
         anew=False,
-        accounted=((0.5, 0.67),),
-        kept=0.3,
-        seen=0.15,
-        formless=frozenset({"lag", "tail", "block_phase"}),
-        sure=0.01,
-        above_floor=False,
     ),
     CLEAN_NOISY: Criteria(
-        least_unit=0.0,
-        null_excess=1.0,
+        least_unit=1.0,
+        null_excess=1.3,
         null_drop=0.7,
         least_of_rest=0.15,
         apart=0.35,
         anew=True,
-        accounted=((0.3, 0.85), (1.2, 0.93)),  # statistics are imitated more closely than pixels
-        kept=0.5,
-        seen=0.5,
-        formless=frozenset(AXES)
-        - {"row", "column", "radius", "orientation", "fixed_pattern", "neighbourhood"},
-        sure=float("inf"),
-        above_floor=True,
     ),
 }
 CRITERIA[JPEG_JPEG] = CRITERIA[RAW_JPEG]

@@ -19,7 +19,7 @@ from jaxisp.gap.pairs.align_raw import Aligned
 from jaxisp.gap.pairs.read import aligned_pairs
 from jaxisp.gap.report.document import after, is_gap, report_of
 from jaxisp.gap.report.page import write_report
-from jaxisp.gap.report.pictures import example
+from jaxisp.gap.report.pictures import candidate, example
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 from jaxisp.io.datasets import Loaded, open_dataset
@@ -101,6 +101,8 @@ def diagnose(
     gap = case.gap()
     pictures = example(case, case.point, "before")
     found = searched(case, gap, tick)
+    pictures |= candidate(case, found)
+    gap = found.gap or gap
     lower = None
     if is_gap(case, gap, found):
         most = case.criteria.most_causes

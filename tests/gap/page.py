@@ -19,6 +19,7 @@ CAUSE = {
     "alternatives": [],
     "next_measurement": None,
     "p_value": 1e-9,
+    "probability": 0.97,
     "params": {"a2": -0.41234},
 }
 REPORT = {

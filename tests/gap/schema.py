@@ -22,6 +22,13 @@ def keeps_the_schema(report):
     assert gap["floor"] <= gap["before"] and gap["metric"]
     assert gap["ci"][0] <= gap["after"] <= gap["ci"][1], "the interval is of what is left"
     _causes(report["verdict"], causes, gap)
+    likely = report["probabilities"]
+    assert {"other", "none"} <= set(likely) and all(0 <= p <= 1 for p in likely.values())
+    assert set(likely) - {"other", "none"} <= set(EFFECTS)
+    assert all(
+        cause["probability"] == likely[cause["effect"]] >= CRITERIA[report["kind"]].named for cause in causes
+    )
+    assert (report["verdict"] == "none") == ("power" in report)
     _ranking(report["ranking"], causes)
     _where(report["verdict"], report["where"], gap)
     left = report["unexplained"]
@@ -53,7 +60,7 @@ def _ranking(ranking, causes):
     accepted = [row["effect"] for row in ranking if row["status"] == "accepted"]
     assert sorted(accepted) == sorted(cause["effect"] for cause in causes)
     assert [row["effect"] for row in ranking[: len(causes)]] == accepted, "best first"
-    rest = [row["closed"] for row in ranking[len(causes) :]]
+    rest = [(row.get("probability", 0.0), row["closed"]) for row in ranking[len(causes) :]]
     assert rest == sorted(rest, reverse=True)
 
 

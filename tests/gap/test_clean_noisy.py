@@ -103,7 +103,7 @@ def test_row_noise_is_seen_on_its_axis(diagnosed):
 def test_pairs_may_be_cut_anywhere(tmp_path, monkeypatch):
     """Crops at odd places have no pattern in common."""
     report = own_camera(tmp_path / "cut", places=((0, 0), (1, 0), (0, 1), (1, 1)))
-    assert report["verdict"] == "none" and report["gap"]["before"] < 1.5 * report["gap"]["floor"]
+    assert report["verdict"] == "none" and report["gap"]["before"] < 1.5 * report["gap"]["unit"]
     monkeypatch.setattr(cfa_phase, "moves", lambda *arguments: np.zeros((COUNT, 2), int))
     kept = own_camera(tmp_path / "kept", places=((0, 0), (1, 0), (0, 1), (1, 1)))
     assert kept["gap"]["before"] > 2 * report["gap"]["before"] and kept["where"][0]["axis"] == "cfa_phase"
@@ -139,7 +139,7 @@ def test_primaries_that_are_like_no_typical_ones_are_found_in_the_noise(tmp_path
     """A bilinear sensor's errors at edges say nothing of them; the typical ones leave nine floors."""
     write(tmp_path, "oak", {"nothing": 1}, "clean+noisy", size=SIZE, count=6, scenes="two")
     report = diagnose(tmp_path, exclude=sorted(EFFECTS)).report
-    assert report["gap"]["before"] < 2 * report["gap"]["floor"]
+    assert report["gap"]["before"] < 2 * report["gap"]["unit"]
 
 
 def test_frames_of_a_scene_stay_on_one_side():
@@ -207,7 +207,7 @@ def test_what_compression_took_from_clean_pictures_is_no_gap(tmp_path):
         Image.open(path).save(path.with_suffix(".jpg"), quality=60)
         path.unlink()
     report = diagnose(tmp_path, exclude=sorted(EFFECTS)).report
-    assert report["gap"]["before"] < 4 * report["gap"]["floor"]
+    assert report["gap"]["before"] < 4 * report["gap"]["unit"]
 
 
 def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_is_another():

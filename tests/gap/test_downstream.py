@@ -17,7 +17,7 @@ from jaxisp.gap.downstream.denoisers import measure_downstream
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.report.downstream import downstream_part
-from jaxisp.gap.search.account import Shown
+from jaxisp.gap.search.states import Shown
 from jaxisp.gap.search.verdict import Found, Refused
 from tests.gap.scenes import scenes
 
@@ -36,7 +36,8 @@ def case(names=("a", "b", "c", "d")):
         return model(clean, replicate)
 
     return Case(
-        kind="clean+noisy", criteria=CRITERIA["clean+noisy"], pairs=pairs, floors=np.ones(4), absorbed={},
+        kind="clean+noisy", criteria=CRITERIA["clean+noisy"], pairs=pairs, absorbed={},
+        floors=np.ones(4),
         evidence=SimpleNamespace(split=Split((0, 2), (1, 3))), point=None, offered=[], reference=clean,
         statistics=SimpleNamespace(measure=SimpleNamespace(rendered=rendered)),
     )  # fmt: skip

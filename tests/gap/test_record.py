@@ -8,16 +8,16 @@ from jaxisp.gap.report.record import (
     ABSORBED,
     FARTHER,
     HIDDEN,
-    LEADS_LITTLE,
-    NO_ACCOUNT,
+    IMPROBABLE,
     NO_COLOURS,
+    NO_GAP,
     NO_HEADER,
     NO_MORE,
     NOT_SURE,
     STATED,
     ranking_rows,
 )
-from jaxisp.gap.search.account import Shown
+from jaxisp.gap.search.states import Shown
 from jaxisp.gap.search.trial import Bars, Trial
 from jaxisp.gap.search.verdict import Found
 
@@ -86,8 +86,7 @@ def test_what_pixels_tell_from_the_cause_says_so():
 @pytest.mark.parametrize(
     "changed, said",
     [
-        ({}, NO_ACCOUNT),
-        ({"closed": 0.2, "low": 0.15}, LEADS_LITTLE),
+        ({}, IMPROBABLE),
         ({"low": 0.09}, NO_MORE),
         ({"surely": 0.02}, NOT_SURE),
         ({"farther": 0.3}, FARTHER),
@@ -101,5 +100,28 @@ def test_an_effect_that_is_no_cause_though_its_interval_is_high_says_why(changed
     assert row["status"] == "rejected" and row.get("reason") == said
     beside = Trial("prnu", np.zeros(1), 11.0, 2.0, 0.9, 0.8, 1.0, Bars(0.1))
     rows = ranking_rows(found({"sharpening": 5.0}, {"sharpening": tried}, [(beside, [])]), {}, 10.0, RAW)
-    told = "closes too little beside prnu" if said in (NO_ACCOUNT, LEADS_LITTLE) else said
+    told = "closes too little beside prnu" if said == IMPROBABLE else said
     assert rows[0].get("reason") == told
+
+
+def test_the_likeliest_come_first():
+    """Causes keep the order of what they close; without a probability, what would be closed decides."""
+    small, large = (
+        Trial(name, np.zeros(1), 11.0, 8.0, closed, closed / 2, 2 * closed, Bars(0.05))
+        for name, closed in (("sharpening", 0.1), ("prnu", 0.6))
+    )
+    likely = {"sharpening": 0.6, "prnu": 0.2}
+    at = found({"sharpening": 1.0, "prnu": 6.0, "vignetting": 3.0, "crosstalk": 4.0},
+               {"sharpening": small, "prnu": large})  # fmt: skip
+    at = at._replace(probabilities=likely, signs={name: {"size": 1.0} for name in likely}, accepted=["prnu"])
+    rows = ranking_rows(at, {}, 10.0, RAW)
+    assert [row["effect"] for row in rows] == ["sharpening", "prnu", "crosstalk", "vignetting"]
+    assert [row.get("probability") for row in rows] == [0.6, 0.2, None, None]
+    assert [row.get("searched") for row in rows] == [False, True, None, None]
+
+
+def test_where_there_is_no_gap_nothing_closes_it():
+    tried = Trial("sharpening", np.zeros(1), 1.01, 1.0, 1.0, 0.9, 1.1, Bars(0.05))
+    at = found({"sharpening": 0.01, "prnu": 0.02}, {"sharpening": tried})
+    rows = ranking_rows(at, {}, 0.01, RAW, False)
+    assert [(row["closed"], row["status"], row["reason"]) for row in rows] == [(0.0, "rejected", NO_GAP)] * 2

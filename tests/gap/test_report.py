@@ -11,7 +11,14 @@ from PIL import Image
 
 from jaxisp.cli.diagnose import _print, _warn
 from jaxisp.errors import InputError
-from jaxisp.gap.report.page import few_pairs, html, sentence, unexplained, write_report
+from jaxisp.gap.report.page import (
+    few_pairs,
+    html,
+    next_measurements,
+    sentence,
+    unexplained,
+    write_report,
+)
 from tests.gap.page import CAUSE, GREY, PICTURES, REPORT, Balance, changed, shown
 
 
@@ -46,14 +53,25 @@ def test_more_than_the_gap_is_all_of_it():
     report["causes"][0] |= {"closed": 1.23, "ci": [0.93, 1.56], "alternatives": []}
     said = sentence(report).replace("\N{NO-BREAK SPACE}", " ")
     assert said == (
-        "The simulator lacks vignetting: it closes all of the gap (123 % [93, 156]) on held-out pairs."
+        "The simulator lacks vignetting (probability 97 %): it closes all of the gap (123 % [93, 156]) on "
+        "held-out pairs."
     )
+
+
+@pytest.mark.parametrize(("least", "verb"), [(0.95, "lacks"), (0.7, "probably lacks"), (0.4, "may lack")])
+def test_the_headline_is_as_sure_as_the_score(least, verb):
+    cause = CAUSE | {"probability": least}
+    assert sentence(changed(causes=[cause])).startswith(f"The simulator {verb} vignetting (probability ")
+    both = sentence(changed(causes=[CAUSE, cause]))
+    assert both.startswith(f"The simulator {verb} 2 effects, which close ")
 
 
 def test_what_it_says():
     text = html(REPORT, PICTURES).replace("\N{NO-BREAK SPACE}", " ")
-    first = "The simulator lacks vignetting: it closes 81 % [76, 85] of the gap on held-out pairs."
-    assert f"<h1>{first} 19 % of the gap stays unexplained.</h1>" in text
+    first = (
+        "The simulator lacks vignetting (probability 97 %): it closes 81 % [76, 85] of the gap on held-out"
+    )
+    assert f"<h1>{first} pairs. 19 % of the gap stays unexplained, on edge.</h1>" in text
     assert "from 17.6 to 4.2; the floor is 1." in text
     told = '<span class="status small">takes pixels farther away</span></span>'
     refused = told + '\n<span class="value">31 % [20, 40]'
@@ -66,7 +84,7 @@ def test_what_it_says():
 
 
 @pytest.mark.parametrize(
-    "verdict, words", [("none", "No gap beyond the floor"), ("unknown", "no effect of the library")]
+    "verdict, words", [("none", "No gap beyond the floor"), ("unknown", "no effect of the library is found")]
 )
 def test_without_causes(verdict, words):
     report = changed(verdict=verdict, causes=[], where=[] if verdict == "none" else REPORT["where"])
@@ -81,7 +99,7 @@ def test_group_and_next_measurement():
     second = CAUSE | {"effect": "prnu", "closed": 0.1, "ci": [0.06, 0.13]}
     text = html(changed(causes=[alike, second]), PICTURES).replace("\N{NO-BREAK SPACE}", " ")
     assert "lacks 2 effects, which close 91 %" in text
-    assert "vignetting or colour shading (81 % [76, 85]); PRNU (10 % [6, 13])" in text
+    assert "vignetting or colour shading (81 % [76, 85], probability 97 %); PRNU (10 % [6, 13], prob" in text
     assert "To tell vignetting from colour shading: a flat field." in text
 
 
@@ -96,23 +114,47 @@ def test_what_is_left_is_said_where_it_is_considerable():
     assert "block_phase" not in text
 
 
-def test_what_was_refused_as_the_cause_is_said():
-    near = {"effects": ["sharpening", "prnu"], "closed": 0.8, "axes": ["edge", "lag"]}
+def test_what_is_likeliest_is_said_where_nothing_is_named():
     left = {"share": 1.0, "axes": ["edge"], "description": "100 % of the gap is left, on edge"}
-    unknown = {"verdict": "unknown", "causes": []}
-    start = "There is a gap, and no effect of the library explains it."
-    assert sentence(changed(**unknown, unexplained=left)) == start
+    unknown = {"verdict": "unknown", "causes": [], "unexplained": left}
+    start = "There is a gap, and no effect of the library is found in it."
+    assert sentence(changed(**unknown)) == start
+    ranking = [
+        {"effect": "sharpening", "closed": 0.3, "status": "rejected", "ci": [0.2, 0.4], "probability": 0.41},
+        {"effect": "prnu", "closed": 0.1, "status": "rejected", "ci": [0.0, 0.2], "probability": 0.05},
+        {"effect": "crosstalk", "closed": -0.1, "status": "rejected", "ci": [-0.2, 0.0], "probability": 0.3},
+    ]
+    said = sentence(changed(**unknown, ranking=ranking)).replace("\N{NO-BREAK SPACE}", " ")
+    assert said == (
+        f"{start} Likeliest: sharpening (probability 41 %, closes 30 %); PRNU (probability 5 %, closes 10 %)."
+    )
+    advised = " ".join(next_measurements(changed(**unknown, ranking=ranking)))
+    assert advised.startswith("To tell sharpening from PRNU: ") and "--reference" not in advised
+    unknown["unexplained"] = left | {"next_measurement": "a flat field"}
+    wanted = changed(**unknown, ranking=ranking)
+    advised = " ".join(next_measurements(wanted))
+    assert "a set with sharpening switched off, given as --reference" in advised and "--camera" in advised
+    wanted["base"] = wanted["base"] | {"given": "camera x"}
+    assert "--camera" not in " ".join(next_measurements(wanted))
 
-    def told(near):
-        said = sentence(changed(**unknown, unexplained=left | {"nearest": near}))
-        return said.replace("\N{NO-BREAK SPACE}", " ").removeprefix(f"{start} ")
 
-    first = "Refused: sharpening and PRNU, which would close"
-    assert told(near) == f"{first} 80 % and leave edge and noise correlation."
-    less = near | {"closed": 0.53, "axes": []}
-    assert told(less) == f"{first} 53 %; vignetting alone closes 81 %."
-    assert told(less | {"effects": ["vignetting"]}) == "Refused: vignetting, which would close 53 %."
-    assert "Refused: sharpening" in shown(changed(**unknown, unexplained=left | {"nearest": near}))
+def test_without_a_gap_the_smallest_that_would_have_shown_is_said():
+    power = {"optical_blur": {"parameter": "sigma", "change": 0.2134}}
+    text = shown(changed(verdict="none", causes=[], where=[], power=power))
+    assert "The smallest that would have shown: optical blur (sigma by 0.213)." in text
+    assert "What to measure next" not in text
+
+
+def test_what_falls_short_is_said():
+    left = REPORT["unexplained"] | {"short_of": "the base falls short: its demosaicking shows"}
+    said = shown(changed(unexplained=left))
+    assert "It shows by edge. The base falls short: its demosaicking shows." in said
+
+
+def test_what_the_likeliest_effect_changes_is_shown_beside_the_difference():
+    changes = np.zeros((24, 44, 3))
+    text = shown(REPORT, PICTURES | {"candidate": {"effect": "veiling_glare", "changes": changes}})
+    assert "what veiling glare changes, ×32 about grey" in text and Balance(text).pictures == 6
 
 
 @pytest.mark.parametrize(
@@ -145,7 +187,8 @@ def test_the_command_says_what_is_left_and_warns(capsys):
     _warn(REPORT)
     _print(REPORT)
     out, err = capsys.readouterr()
-    assert out.startswith("verdict: effect; gap 17.6 -> 4.2, floor 1; 19 % of the gap stays unexplained\n")
+    left = "19 % of the gap stays unexplained, on edge"
+    assert out.startswith(f"verdict: effect; gap 17.6 -> 4.2, floor 1; {left}\n")
     assert err == "jaxisp: only 2 pairs: intervals and the choice are not reliable; give at least four.\n"
     four = {"fit": ["a", "b"], "held_out": ["c", "d"], "left_out": []}
     _warn(changed(pairs=four))
@@ -159,14 +202,12 @@ def test_the_command_says_what_is_left_and_warns(capsys):
 
 
 def test_the_command_says_what_an_unknown_gap_is_and_what_to_measure(capsys):
-    near = {"effects": ["double_compression"], "closed": 0.53, "axes": []}
-    left = REPORT["unexplained"] | {"nearest": near, "next_measurement": "a flat field"}
-    ranking = REPORT["ranking"][1:]
-    _print(changed(verdict="unknown", causes=[], ranking=ranking, unexplained=left))
+    left = REPORT["unexplained"] | {"next_measurement": "a flat field"}
+    base = REPORT["base"] | {"given": "a camera"}
+    _print(changed(verdict="unknown", causes=[], ranking=REPORT["ranking"][1:], unexplained=left, base=base))
     assert capsys.readouterr().out.splitlines() == [
         "verdict: unknown; gap 17.6 -> 4.2, floor 1",
-        "There is a gap, and no effect of the library explains it. "
-        "Refused: double compression, which would close 53 %.",
+        "There is a gap, and no effect of the library is found in it.",
         "To see alone what is left: a flat field.",
     ]
 

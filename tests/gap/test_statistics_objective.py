@@ -66,6 +66,16 @@ def quiet(model, z):
     return moved
 
 
+def test_the_floor_is_the_chance_of_two_draws(begun):
+    """Each half has one pair here, so that the mean square of a difference is twice the variance."""
+    objective, at = begun
+    found = objective.chance(at, draws=4)
+    assert found.shape == (6, COUNT) and (found > 0).all()
+    drawn = np.stack([objective.measure.simulated(at.model, at.z, k) for k in range(20, 28)])
+    expected = (2 * objective.scale**2 * drawn.var(0, ddof=1)).mean(1)
+    np.testing.assert_allclose(found.mean(0), expected, rtol=0.5)
+
+
 def test_at_the_truth_only_the_noise_of_the_pictures_is_left(begun):
     objective, at = begun
     model, z = at.model, distorted(at.model, at.z)

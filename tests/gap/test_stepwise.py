@@ -47,7 +47,8 @@ def test_an_effect_that_imitates_others_has_a_bar_of_its_own():
 
 def test_nothing_to_try_finds_nothing():
     evidence, start = toy.apart({"vignetting": 0.5})
-    assert search(evidence, start, [], toy.terms(evidence, start), quiet) == ([], {}, {}, [])
+    found = search(evidence, start, [], toy.terms(evidence, start), quiet)
+    assert found.causes == [] and found.trials == found.predicted == found.smallest == {}
 
 
 def test_all_that_is_tried_may_be_found():

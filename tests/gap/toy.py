@@ -37,6 +37,7 @@ class Line:
     Attributes:
         beside: (P,) added times the parameter "variant" of the model.
         distance: of pixels, by which effects are on; None where errors are those of pixels.
+        axes: by axis, a direction (P,) whose part of what is left is the axis's.
     """
 
     wanted: np.ndarray
@@ -48,6 +49,7 @@ class Line:
     rival: Variant | None = None
     references: Mapping[int, float] = dataclasses.field(default_factory=dict)
     distance: Callable[[set[str]], float] | None = None
+    axes: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     follows = False
 
@@ -82,6 +84,9 @@ class Line:
     def units(self, point: Point) -> np.ndarray:
         return (point.shown[0] ** 2).reshape(len(point.errors), TILES, SIDE).mean(2)
 
+    def changes(self, one: Point, other: Point) -> np.ndarray:
+        return ((other.shown[0] - one.shown[0]) ** 2).reshape(len(one.errors), TILES, SIDE).mean(2)
+
     def _of_pixels(self, of: float) -> np.ndarray:
         return np.full(len(self.wanted), of)
 
@@ -98,7 +103,11 @@ class Line:
         return None
 
     def located(self, point: Point) -> tuple[list[dict[str, object]], list[dict[str, object]]]:
-        return [], []
+        left = point.shown[0][list(self.split.held_out)].mean(0)
+        parts = {axis: float(left @ own) ** 2 / float(own @ own) for axis, own in self.axes.items()}
+        whole = max(float(left @ left), 1e-12)
+        rows = [{"axis": a, "share": v / whole, "p_value": 0.001, "size": v} for a, v in parts.items()]
+        return rows, rows
 
 
 def basis(count: int) -> np.ndarray:
@@ -114,13 +123,14 @@ def line(directions: Mapping[str, Sequence[float]], truth: Sequence[float], **mo
     Args:
         directions: by effect where in that space it moves the picture; the base's number moves none of it.
         truth: what is wanted.
-        more: of `Line`; `beside` is a direction, too.
+        more: of `Line`; `beside` is a direction, too, and `axes` names the dimensions.
     """
     own = basis(len(truth) + 1)
     space, offset, rest = own[:, : len(truth)], own[:, len(truth)], own[:, -1]
     design = np.stack([offset, *(space @ np.asarray(d, float) for d in directions.values())], 1)
     wanted = np.stack([space @ np.asarray(truth, float) + np.sqrt(FLOOR) * rest] * 4)
     beside = space @ np.asarray(more.pop("beside", np.zeros(len(truth))), float)
+    more["axes"] = {axis: space[:, k] for k, axis in enumerate(more.pop("axes", ()))}
     return Line(wanted, design, beside, **more)
 
 
@@ -142,5 +152,9 @@ def terms(evidence: Line, start: Point, kind: str = "clean+noisy", **more: objec
 
 def case(evidence: Line, start: Point, kind: str = "clean+noisy", **more: object) -> Case:
     """A diagnosis of it that offers every effect."""
-    own = {"offered": list(start.model.effects), "absorbed": {}, "floors": np.full(4, FLOOR)} | more
+    own = {
+        "offered": list(start.model.effects),
+        "absorbed": {},
+        "floors": np.full(4, FLOOR),
+    } | more
     return Case(kind=kind, criteria=CRITERIA[kind], pairs=None, evidence=evidence, point=start, **own)

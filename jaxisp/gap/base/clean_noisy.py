@@ -16,7 +16,7 @@ from jaxisp.gap.base.mean import MeanFit, fit_mean
 from jaxisp.gap.base.noise import fit_noise, rebased
 from jaxisp.gap.base.open_numbers import fit_open
 from jaxisp.gap.base.plain_clean import Camera
-from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.case import Case, Floor, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.features.quantization import Quantization, quantization
 from jaxisp.gap.features.residual_statistics import compile_features
@@ -245,9 +245,17 @@ def _case(
     offered: list[str],
     shown: tuple[str, ...],
 ) -> Case:
+    held = list(objective.split.held_out)
+
+    def floor_at(point: Point) -> Floor:
+        drawn = objective.chance(point)
+        low, high = np.percentile(drawn[:, held].mean(1), (5, 95))
+        return Floor(drawn.mean(0), (float(low), float(high)))
+
+    floor = floor_at(at)
     return Case(
         kind=CLEAN_NOISY, criteria=CRITERIA[CLEAN_NOISY], pairs=objective.measure.pairs, evidence=objective,
-        point=at, floors=objective.floors,
+        point=at, floors=floor.each, floor_ci=floor.ci, floor_at=floor_at,
         absorbed=absorbed, offered=offered, statistics=objective, seen=shown,
     )  # fmt: skip
 

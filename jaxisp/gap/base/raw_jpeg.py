@@ -9,11 +9,12 @@ import numpy as np
 
 from jaxisp.camera import params_for, with_cfa
 from jaxisp.errors import InputError
+from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
 from jaxisp.gap.base.plain_raw import Base, raw_model
 from jaxisp.gap.base.reference import OnReference, on_reference
-from jaxisp.gap.case import Case, Tick
+from jaxisp.gap.case import Case, Floor, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
@@ -21,7 +22,7 @@ from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
-from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.pairs.scenes import Split, by_scene, split_of
 from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
@@ -155,9 +156,16 @@ def raw_case(
     apart = stated | {*absorbed, *base.unidentifiable}
     files = [p.jpeg for p in loaded]
     stored, floors, left = _floors(objective, at, files, taken)
+
+    def floor_at(point: Point) -> Floor:
+        units, held = objective.floor_units(objective.floor_difference(point, files)), list(split.held_out)
+        drawn = by_scene(units[held], [pairs.names[i] for i in held])
+        return Floor(np.nanmean(units, 1), interval(drawn, 1.0))
+
     return Case(
         kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
-        absorbed=absorbed, floors=floors,
+        absorbed=absorbed, floors=floors, floor_ci=floor_at(at).ci if left is None else None,
+        floor_at=floor_at if left is None else None,  # a reference's gap is its own
         offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
         given=_given(camera, bool(reference)),

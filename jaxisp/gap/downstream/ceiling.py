@@ -27,6 +27,8 @@ from jaxisp.gap.search.refit import searched
 from jaxisp.models.layers import conv
 from jaxisp.train.step import split_model
 
+TOGETHER, NETWORK = "all effects at once", "a small network on what is left"
+"""Names of two of the models."""
 _WIDTH, _DEPTH = 24, 4
 _STEPS, _BATCH, _PATCH = 300, 8, 48
 _AROUND = 8.0  # px, sigma of the surroundings, for local tone mapping
@@ -47,19 +49,27 @@ def reducible(case: Case, gap: Gap, point: Point, after: float, refits: Sequence
 
         - `best`: the lowest gap.
         - `how`: the model that reached it.
+        - `models`: the gap of each model by its name.
         - `explained`: share of `before - best` that the causes close; None if this difference is within the
           range of cameras that lack no effect.
     """
-    found = {"the named effects": after, "an effect that was refused": min(refits, default=np.inf)}
+    found = {"the named effects": after}
+    if refits:
+        found["an effect that was refused"] = min(refits)
     if case.pixels is not None:  # on statistics of few scenes, all effects together overfit
-        found["all effects at once"] = _together(case.pixels, point, case.offered)
-        found["a small network on what is left"] = _network_leaves(case.pixels, point)
+        found[TOGETHER] = _together(case.pixels, point, case.offered)
+        found[NETWORK] = _network_leaves(case.pixels, point)
     elif case.statistics is not None:
         found["what the fitted pairs still differ in, taken off"] = case.statistics.left_by_shift(point)
     how = min(found, key=lambda name: found[name])
     could = gap.before - found[how]
     beyond = could > case.criteria.null_drop * gap.unit
-    return {"best": found[how], "how": how, "explained": (gap.before - after) / could if beyond else None}
+    return {
+        "best": found[how],
+        "how": how,
+        "models": found,
+        "explained": (gap.before - after) / could if beyond else None,
+    }
 
 
 def _together(pixels: PixelObjective, point: Point, names: Sequence[str]) -> float:

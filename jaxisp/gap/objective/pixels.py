@@ -180,6 +180,10 @@ class PixelObjective:
         """(N, U) mean square residual of each tile, scaled so that the mean over tiles is the pair's."""
         return self.tiled((self.residual(point) ** 2).sum(-1))
 
+    def changes(self, one: Point, other: Point) -> np.ndarray:
+        """(N, U) mean squares of the difference of two points' pictures, by tile, scaled likewise."""
+        return self.tiled((((other.shown[0] - one.shown[0]) * self.weight) ** 2).sum(-1))
+
     def tiled(self, square: np.ndarray) -> np.ndarray:
         """(N, U) means over tiles of (N, h, w) weighted squares, scaled likewise."""
         return tiled(square, self.counts)
@@ -218,9 +222,13 @@ class PixelObjective:
 
     def floor_errors(self, difference: np.ndarray) -> np.ndarray:
         """(N,) the errors that rounding and compression would leave were the simulator right."""
+        return np.asarray(np.nanmean(self.floor_units(difference), 1))
+
+    def floor_units(self, difference: np.ndarray) -> np.ndarray:
+        """(N, U) parts that each of `floor_errors` is the mean of, by tile."""
         # weighed by its own size, as the real residual is by its own
         counted = self.robust_weights(difference) * self.pairs.mask[INNER]
-        return np.asarray((difference**2 * counted[..., None]).sum((1, 2, 3)) / counted.sum((1, 2)))
+        return tiled((difference**2).sum(-1) * counted, counted.sum((1, 2)))
 
 
 def _weights(weights: np.ndarray, pairs: Pairs, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -109,6 +109,9 @@ class Evidence(Objective, Protocol):
     def units(self, point: Point) -> np.ndarray:
         """(N, U) parts that the error of each pair is the mean of, for intervals."""
 
+    def changes(self, one: Point, other: Point) -> np.ndarray:
+        """(N, U) mean square of what two points show differently, in the unit and the parts of `units`."""
+
     def distances(self, model: Model, z: np.ndarray) -> np.ndarray | None:
         """(N,) mean square distance of pixels from what is simulated on average; None where `errors` are
         it."""

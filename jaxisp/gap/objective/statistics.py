@@ -1,6 +1,7 @@
 """Differences of statistics between real pictures and simulated ones."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
@@ -28,6 +29,7 @@ from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.simulator.model import Model, Variant
 
 _REPLICATES = 4
+_FIRST = 101  # number of the first draw that chance is measured with; others set the units
 _FEWEST = 4  # scenes that tell how they differ
 
 
@@ -91,10 +93,15 @@ class StatisticsObjective:
     def names(self) -> tuple[str, ...]:
         return self.measure.pairs.names
 
-    @property
-    def floors(self) -> np.ndarray:
-        """(N,) one unit each."""
-        return np.ones(len(self.names))
+    def chance(self, point: Point, draws: int = 5) -> np.ndarray:
+        """(D, N) each pair's part of the gap between two draws of the simulator's own noise.
+
+        Only chance is in it: what a right simulator would leave. Every two of the draws are compared.
+        """
+        model, z = point.model, point.z
+        drawn = [self.measure.simulated(model, z, _FIRST + k) for k in range(draws)]
+        own = [self.scale * self.counted * (a - b) for a, b in itertools.combinations(drawn, 2)]
+        return np.stack([(apart * self._mean(apart)).mean(1) for apart in own])
 
     def at(self, model: Model, z: np.ndarray) -> Point:
         z = np.asarray(z, float)
@@ -256,6 +263,11 @@ class StatisticsObjective:
     def units(self, point: Point) -> np.ndarray:
         """(N, 1) each pair's part in the error of its half."""
         return point.errors[:, None]
+
+    def changes(self, one: Point, other: Point) -> np.ndarray:
+        """(N, 1) each pair's part in the mean square of the change of its half's statistics."""
+        own = self.scale * self.counted * (other.shown[0] - one.shown[0])
+        return self._reported((own * self._mean(own)).mean(1))[:, None]
 
     def distances(self, model: Model, z: np.ndarray) -> np.ndarray | None:
         """(N,) mean squares of what the real pictures differ in from what is simulated on average; of two

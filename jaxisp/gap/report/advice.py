@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from jaxisp.gap.simulator.effects import EFFECTS
+
 _EDGE = "a slanted edge at several contrasts, with the noise spectrum of a flat patch beside it"
 _TEXTURE = "low-contrast texture (dead leaves) at a low and at a high ISO"
 _SIZE = (
@@ -81,6 +83,49 @@ def between(effect: str, alternatives: Sequence[str]) -> str | None:
         return None
     found = [_BETWEEN.get(frozenset((effect, other)), _MORE) for other in alternatives]
     return "; ".join(dict.fromkeys(found))
+
+
+def told_apart(one: str, other: str) -> str:
+    """A measurement that separates two candidates, or shows the axes on which only one of them acts."""
+    known = _BETWEEN.get(frozenset((one, other)))
+    axes = [axis for axis in _ON if (axis in EFFECTS[one].axes) != (axis in EFFECTS[other].axes)]
+    return known or about(axes[:1])
+
+
+SETTINGS = frozenset(
+    name for name, effect in EFFECTS.items() if effect.site in ("encoded", "output", "linear", "camera")
+)
+"""Effects of the camera's processing, which a setting or another program may switch off."""
+
+
+_BASE = frozenset({"cfa_phase", "edge", "channel", "hue", "saturation", "intensity"})
+"""Axes of what a base is made of: demosaicker, matrix and tone curve."""
+_MOST = 0.5
+"""Share of what is left that a model must close to say what falls short."""
+
+
+def short_of(axes: Sequence[str], together: float | None, network: float | None) -> str:
+    """Whether base or library falls short, in words.
+
+    Args:
+        axes: on which the rest of the gap lies, largest first.
+        together: share of the rest that all effects at once close; None if it was not measured.
+        network: share of the rest that a small network closes; None likewise.
+    """
+    if together is not None and together >= _MOST:
+        return (
+            f"effects of the library close {100 * together:.0f} % of this together, "
+            "and these pairs do not tell which of them"
+        )
+    if network is not None and network >= _MOST:
+        return (
+            f"the library falls short: a small network on the simulator's picture closes "
+            f"{100 * network:.0f} % of this, and no effect does"
+        )
+    of_base = [axis for axis in axes if axis in _BASE]
+    if axes and axes[0] in _BASE and 2 * len(of_base) > len(axes):
+        return "the base falls short: its demosaicking, matrix or tone curve shows on these axes"
+    return "neither the base's own parameters nor an effect of the library accounts for this"
 
 
 def about(axes: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.axes.null_bank import held_against_nulls
 from jaxisp.gap.case import Case, Gap
 from jaxisp.gap.criteria import Criteria
+from jaxisp.gap.downstream.ceiling import NETWORK, TOGETHER
 from jaxisp.gap.pairs.align_raw import Aligned
 from jaxisp.gap.pairs.pairs import INNER
 from jaxisp.gap.report import advice
@@ -26,6 +27,7 @@ from jaxisp.gap.report.record import (
 from jaxisp.gap.search.refit import clustered
 from jaxisp.gap.search.verdict import Found
 from jaxisp.gap.simulator.effects import JPEG_JPEG, RAW_JPEG
+from jaxisp.gap.simulator.model import Model
 
 METRIC = {
     RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
@@ -67,7 +69,8 @@ def report_of(
     apart = dict.fromkeys(model.effects, STATED) | {"double_compression": NO_HEADER}
     apart |= dict.fromkeys(case.absorbed, ABSORBED) | dict.fromkeys(case.unidentifiable, NO_COLOURS)
     tried = len(case.offered) + (case.stored is not None)  # and film grain
-    causes = [cause_row(t, alike, tried, model) for t, alike in found.causes]
+    likely = found.probabilities
+    causes = [cause_row(t, alike, tried, model, likely.get(t.effect, 1.0)) for t, alike in found.causes]
     ended = model.params(found.point.z) if causes else None
     where = held_against_nulls(found.before.where, case.kind, gap.before, gap.unit)
     opened = (*case.open_nodes, *case.unidentifiable)
@@ -83,17 +86,31 @@ def report_of(
         } | _aligned(aligned, case.outliers),
         "gap": {
             "metric": METRIC[case.kind], "before": gap.before, "after": after(gap, found), "floor": gap.floor,
+            "unit": gap.unit, "floor_ci": list(gap.floor_ci or (gap.floor, gap.floor)),
             "ci": _interval(case, found, after(gap, found)),
             "axes": {row["axis"]: row["size"] for row in where},
         } | ({} if case.reference_gap is None else {"reference": case.reference_gap})
         | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
-        "ranking": ranking_rows(found, apart, gap.scale, case.criteria),
+        "probabilities": dict(likely),
+        "ranking": ranking_rows(found, apart, gap.scale, case.criteria, there),
         "where": where if there else [],
-        "unexplained": _unexplained(case, gap, found),
+        "unexplained": _unexplained(case, gap, found, reducible),
         "seconds": 0.0,
-    }  # fmt: skip
+    } | ({} if there else {"power": _power(found.smallest, model)})  # fmt: skip
+
+
+def _power(smallest: Mapping[str, tuple[int, float]], model: Model) -> dict[str, dict[str, Any]]:
+    """By effect, the parameter that shows best and the smallest change of it that would have made a gap."""
+    found = {}
+    for name, (i, change) in smallest.items():
+        move = model.coordinates[i].move
+        found[name] = {
+            "parameter": move.field + "".join(f"[{n}]" for n in move.index),
+            "change": change,
+        }
+    return found
 
 
 def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
@@ -142,7 +159,7 @@ def _interval(case: Case, found: Found, left: float) -> list[float]:
     return list(interval(clustered(case.evidence, share * units), 1.0))
 
 
-def _unexplained(case: Case, gap: Gap, found: Found) -> dict[str, Any]:
+def _unexplained(case: Case, gap: Gap, found: Found, reducible: Mapping[str, Any] | None) -> dict[str, Any]:
     criteria, left = case.criteria, after(gap, found)
 
     def axes(rows: Rows, at: float) -> list[str]:
@@ -156,6 +173,14 @@ def _unexplained(case: Case, gap: Gap, found: Found) -> dict[str, Any]:
     wanted = shown if found.causes else axes(found.before.where, gap.before)
     next_one = advice.about(wanted) if there and share >= criteria.considerable else None
     row = {"share": share, "axes": shown, "description": text, "next_measurement": next_one}
+    if there and share >= criteria.considerable:
+        models = {} if reducible is None else reducible["models"]
+        reached = {
+            name: (left - models[name]) / max(left - gap.floor, 1e-6)
+            for name in (TOGETHER, NETWORK)
+            if name in models
+        }
+        row["short_of"] = advice.short_of(wanted, reached.get(TOGETHER), reached.get(NETWORK))
     if found.refused is None:
         return row
     causes = found.refused.causes

@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from jaxisp.gap.axes.null_bank import bank
 from jaxisp.gap.criteria import CRITERIA
+from jaxisp.gap.report import advice
 from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.report.parameters import parameters_of
@@ -43,6 +44,7 @@ _MORE = 0.02  # share of the gap by which one effect must close more than anothe
 _KINDS = {
     "raw+jpeg": "RAW+JPEG pairs", "clean+noisy": "clean+noisy pairs", "jpeg+jpeg": "pairs of two JPEGs",
 }  # fmt: skip
+_SURE, _LIKELY = 0.9, 0.5  # probabilities from which the verdict says "lacks" and "probably lacks"
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
@@ -65,7 +67,8 @@ def write_report(report: Mapping[str, Any], pictures: Mapping[str, Any], folder:
         pictures: of one held-out pair: `name`; `target`, `before` and `after` (H, W, 3) in [0, 1];
             `residual_before` and `residual_after` (h, w, 3) in Y'CbCr, 8-bit steps. Of all held-out pairs:
             `spread_before`, `spread_after` and `spread_real` or `spread_floor`, see
-            `jaxisp.gap.features.spectra`. All keys but `name` may be absent or None.
+            `jaxisp.gap.features.spectra`; `candidate`, the likeliest effect: its name `effect`, and what it
+            `changes`, (h, w, 3) like the residuals. All keys but `name` may be absent or None.
         folder: created if it does not exist.
 
     Returns:
@@ -133,7 +136,7 @@ def sentence(report: Mapping[str, Any]) -> str:
     if report["verdict"] == "none":
         return "No gap beyond the floor: the simulator lacks nothing that these pairs can show."
     if report["verdict"] == "unknown" or not causes:
-        return f"There is a gap, and no effect of the library explains it.{_nearest(report)}"
+        return f"There is a gap, and no effect of the library is found in it.{_nearest(report)}"
     left = unexplained(report)
     rest = f". {left}." if left else "."
     if len(causes) == 1:
@@ -141,37 +144,53 @@ def sentence(report: Mapping[str, Any]) -> str:
         share = f"{percent(c['closed'])} {span(c['ci'])}"
         # above 1 if the remaining gap is below the floor
         closed = f"all of the gap ({share})" if c["closed"] > 1 else f"{share} of the gap"
-        return f"The simulator lacks {_group(c)}: it closes {closed} on held-out pairs{rest}"
-    each = "; ".join(f"{_group(c)} ({percent(c['closed'])} {span(c['ci'])})" for c in causes)
+        sure = f"probability {percent(c['probability'])}"
+        return f"The simulator {_lacks(c)} {_group(c)} ({sure}): it closes {closed} on held-out pairs{rest}"
+    each = "; ".join(f"{_group(c)} ({_told(c)})" for c in causes)
     return (
-        f"The simulator lacks {len(causes)} effects, which close "
+        f"The simulator {_lacks(*causes)} {len(causes)} effects, which close "
         f"{percent(sum(c['closed'] for c in causes))} of the gap on held-out pairs: {each}{rest}"
     )
 
 
-def _nearest(report: Mapping[str, Any]) -> str:
-    """The refused cause that comes nearest, as a sentence; "" if there is none.
+def _lacks(*causes: Mapping[str, Any]) -> str:
+    """The verb of the verdict, by the lowest probability of the causes."""
+    least = min(cause["probability"] for cause in causes)
+    return "lacks" if least >= _SURE else "probably lacks" if least >= _LIKELY else "may lack"
 
-    It is refused because the gap still shows on the same axes.
-    """
-    near = report["unexplained"].get("nearest")
-    if near is None:
+
+def _told(cause: Mapping[str, Any]) -> str:
+    """The share that a cause closes, with its interval and its probability."""
+    return f"{percent(cause['closed'])} {span(cause['ci'])}, probability {percent(cause['probability'])}"
+
+
+def _nearest(report: Mapping[str, Any]) -> str:
+    """The likeliest effects, as a sentence; "" if no effect was refitted."""
+    likely = likeliest(report)
+    if not likely:
         return ""
-    others = [r for r in report["ranking"] if r.get("ci") and r["effect"] not in near["effects"]]
-    more = [r for r in others if r["closed"] > near["closed"] + _MORE]
-    alone = f"; {words(more[0]['effect'])} alone closes {percent(more[0]['closed'])}" if more else ""
-    left = f" and leave {listed([words(axis) for axis in near['axes']])}" if near["axes"] else ""
-    return (
-        f" Refused: {listed([words(n) for n in near['effects']])}, which would close "
-        f"{percent(near['closed'])}{left}{alone}."
-    )
+    each = [
+        f"{words(row['effect'])} (probability {percent(row['probability'])}, closes {percent(row['closed'])})"
+        for row in likely
+    ]
+    return f" Likeliest: {'; '.join(each)}."
+
+
+def likeliest(report: Mapping[str, Any], count: int = 2) -> list[Mapping[str, Any]]:
+    """The refitted candidates with the highest probabilities."""
+    rows = [r for r in report["ranking"] if finite(r.get("probability")) and r["closed"] > 0]
+    return sorted(rows, key=lambda row: -row["probability"])[:count]
 
 
 def unexplained(report: Mapping[str, Any]) -> str:
-    """The share of the gap that the named effects leave; "" if it is small or no effect is named."""
-    share = report["unexplained"]["share"]
+    """The share of the gap that the named effects leave, and its axes; "" if it is small."""
+    left = report["unexplained"]
+    share = left["share"]
     considerable = report["causes"] and finite(share) and share >= CRITERIA[report["kind"]].considerable
-    return f"{percent(share)} of the gap stays unexplained" if considerable else ""
+    if not considerable:
+        return ""
+    axes = f", on {listed([words(axis) for axis in left['axes']])}" if left["axes"] else ""
+    return f"{percent(share)} of the gap stays unexplained{axes}"
 
 
 def few_pairs(report: Mapping[str, Any]) -> str:
@@ -286,11 +305,11 @@ def _closes(row: Mapping[str, Any]) -> str:
 
 
 def _status(row: Mapping[str, Any]) -> str:
-    """The status of a candidate, with its reason if it was refused; "" if no reason is given."""
-    if row["status"] == "accepted":
-        return "found"
-    said = row.get("reason", "")
-    return " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
+    """The status of a candidate, with its probability, and its reason if it was refused."""
+    said = "found" if row["status"] == "accepted" else row.get("reason", "")
+    said = " ".join(words(word) if "_" in word or word in EFFECTS else word for word in said.split())
+    likely = f"probability {percent(row['probability'])}" if finite(row.get("probability")) else ""
+    return ", ".join(filter(None, (said, likely)))
 
 
 def _bar(name: str, value: float, top: float, text: str, ci: Sequence[float] | None) -> dict[str, Any]:
@@ -338,21 +357,49 @@ def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
 def _left(report: Mapping[str, Any]) -> str:
     left = report["unexplained"]
     if report["verdict"] == "none":
-        return "Nothing beyond what cameras that lack nothing leave."
+        return f"Nothing beyond what cameras that lack nothing leave.{_power(report)}"
     shows = f" It shows by {listed([words(a) for a in left['axes']])}." if left["axes"] else ""
-    return f"{percent(left['share'])} of the gap is left.{shows}"
+    short = f" {begun(left['short_of'])}." if left.get("short_of") else ""
+    return f"{percent(left['share'])} of the gap is left.{shows}{short}"
+
+
+def _power(report: Mapping[str, Any]) -> str:
+    """The smallest effects that the gap would have shown, as a sentence; "" if that is not known."""
+    seen = [
+        f"{words(name)} ({row['parameter']} by {number(row['change'])})"
+        for name, row in report.get("power", {}).items()
+    ]
+    return f" The smallest that would have shown: {', '.join(seen)}." if seen else ""
 
 
 def next_measurements(report: Mapping[str, Any]) -> list[str]:
     """Suggested measurements, one sentence each."""
+    if report["verdict"] == "none":
+        return []
     found = [
         f"To tell {words(c['effect'])} from {any_of(c['alternatives']) or 'its look-alikes'}: "
         f"{c['next_measurement']}."
         for c in report["causes"]
         if c["next_measurement"]
     ]
+    first = likeliest(report)
+    if len(first) == 2 and not found:
+        one, other = (row["effect"] for row in first)
+        found.append(f"To tell {words(one)} from {words(other)}: {advice.told_apart(one, other)}.")
     left = report["unexplained"].get("next_measurement")
-    return [*found, f"To see alone what is left: {left}."] if left else found
+    if not left:
+        return found
+    settings = [words(row["effect"]) for row in first if row["effect"] in advice.SETTINGS]
+    if settings:
+        found.append(
+            f"To take off what the camera does besides: a set with {' or '.join(settings)} switched off, "
+            "given as --reference."
+        )
+    if "given" not in report["base"]:
+        found.append(
+            "To leave less to the plain base: fit a camera first (jaxisp fit), and give it with --camera."
+        )
+    return [*found, f"To see alone what is left: {left}."]
 
 
 def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -422,7 +469,11 @@ def _pictures(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
     shown = [(1, "the camera's", pictures.get("target")), (2, "simulator, before", pictures.get("before"))]
     shown.append((3, "simulator, after", pictures.get("after")))
     differences = {w: pictures[f"residual_{w}"] for w in _WHEN if pictures.get(f"residual_{w}") is not None}
-    gain = gain_for(list(differences.values()))
+    candidate = pictures.get("candidate")
+    gain = gain_for([*differences.values(), *([] if candidate is None else [candidate["changes"]])])
+    if candidate is not None:
+        caption = f"what {words(candidate['effect'])} changes, \N{MULTIPLICATION SIGN}{gain} about grey"
+        shown.append((1, caption, difference_picture(candidate["changes"], gain)))
     for when, residual in differences.items():
         caption = f"difference {when}, \N{MULTIPLICATION SIGN}{gain} about grey"
         shown.append(

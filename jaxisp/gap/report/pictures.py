@@ -12,6 +12,7 @@ from jaxisp.gap.objective.measure import Measure
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.pairs import INNER, to_steps
+from jaxisp.gap.search.verdict import Found
 
 Spreads = dict[str, dict[str, Spread]]
 """Spectra of "luma" and "chroma", keyed by source: "simulator", and "floor" or "real".
@@ -46,6 +47,28 @@ def example(case: Case, point: Point, when: str) -> dict[str, Any]:
         f"spread_{when}": spread.pop("simulator"),
         **{f"spread_{whose}": own for whose, own in spread.items()},
     }
+
+
+def candidate(case: Case, found: Found) -> dict[str, Any]:
+    """What the first cause, or else the likeliest effect, changes in the pair that `example` shows.
+
+    Returns:
+        part of the `pictures` of `page.write_report`: `candidate` with `effect`, its name, and `changes`,
+        (h, w, 3) Y'CbCr in 8-bit steps. Noise is drawn alike with and without the effect. Empty if no effect
+        was refitted, or if the effect has no parameters.
+    """
+    trials = {name: t for name, t in found.trials.items() if name in found.probabilities}
+    likely = sorted(trials.values(), key=lambda t: -found.probabilities[t.effect])
+    first = [trial for trial, _ in found.causes] or likely
+    model, own = case.point.model, case.point.model.indices([first[0].effect]) if first else []
+    shown = case.pixels or (case.statistics and case.statistics.measure)
+    if not own or shown is None:
+        return {}
+    without, i = first[0].z.copy(), case.split.held_out[0]
+    without[own] = 0
+    model = model if first[0].choice is None else model.chosen(first[0].choice)
+    changes = shown.picture(model, first[0].z)[i] - shown.picture(model, without)[i]
+    return {"candidate": {"effect": first[0].effect, "changes": np.asarray(changes)}}
 
 
 def _of_residuals(pixels: PixelObjective, picture: np.ndarray, stored: np.ndarray | None) -> Spreads:

@@ -54,7 +54,7 @@ def base_row(
     return row if given is None else row | {"given": given}
 
 
-def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[str, Any]:
+def cause_row(trial: Trial, alike: list[str], tried: int, model: Model, probability: float) -> dict[str, Any]:
     """Describe an accepted cause.
 
     Args:
@@ -62,6 +62,7 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         alike: effects that these pairs cannot distinguish from it.
         tried: number of effects tried, for the correction of the p-value.
         model: the simulator.
+        probability: that it is there.
     """
     effect = EFFECTS[trial.effect]
     params: dict[str, Any] = dict(trial.params)
@@ -82,6 +83,7 @@ def cause_row(trial: Trial, alike: list[str], tried: int, model: Model) -> dict[
         "alternatives": alike,
         "next_measurement": advice.between(trial.effect, alike),
         "p_value": _p_value(trial.closed / spread, tried),
+        "probability": probability,
         "params": params,
     }
 
@@ -94,8 +96,8 @@ def _p_value(z: float, tried: int) -> float:
 FARTHER = "takes pixels farther away"
 NO_MORE = "closes no more than effects do where nothing is missing"
 NOT_SURE = "the pairs are too few to be sure of it"
-LEADS_LITTLE = "closes less than the quarter that a first cause must"
-NO_ACCOUNT = "does not account for the gap"
+IMPROBABLE = "effects that are not there look like this, too"
+NO_GAP = "there is no gap to close"
 HIDDEN = "these pairs hardly show it, however strong"
 ABSORBED = "taken up by the base fit"
 STATED = "the file's header states it"
@@ -119,24 +121,27 @@ def _refusal(trial: Trial, found: Found, criteria: Criteria) -> str | None:
         return NOT_SURE if trial.low > trial.bars.least else NO_MORE
     if causes:
         return "closes too little beside " + " and ".join(t.effect for t in causes)
-    return LEADS_LITTLE if trial.closed < criteria.leading else NO_ACCOUNT
+    return IMPROBABLE
 
 
 def ranking_rows(
-    found: Found, apart: Mapping[str, str], scale: float, criteria: Criteria
+    found: Found, apart: Mapping[str, str], scale: float, criteria: Criteria, there: bool = True
 ) -> list[dict[str, Any]]:
-    """Rank all candidates: accepted causes first, then by the share of the gap that each closes.
+    """Rank all candidates: accepted causes first, then by probability and the share of the gap that each
+    closes.
 
     Each row has the predicted share. It is linear, so it is limited to 1 if there was no refit. Rows of
-    refitted effects have the interval `ci` and `possible`: whether pixels stay as near to the real ones.
-    Effects that were not tried close 0. A `reason` is given for effects that were not tried, and for refused
-    effects whose interval lies above `Criteria.smallest`.
+    refitted effects have the interval `ci`, `possible`: whether pixels stay as near to the real ones, their
+    `probability`, the `signs` that it is computed from, and `searched`: whether the search accepted them.
+    Effects that were not tried close 0; without a gap none closes anything. A `reason` is given for effects
+    that were not tried, and for refused effects whose interval lies above `Criteria.smallest`.
 
     Args:
         found: result of the search.
         apart: reason for each effect that was not tried.
         scale: the gap above the floor.
         criteria: thresholds of the verdict.
+        there: whether there is a gap.
     """
     accepted = {t.effect: t for t, _ in found.causes}
     alike = {name: t.effect for t, names in found.causes for name in names}
@@ -162,9 +167,23 @@ def ranking_rows(
             row |= {"status": "not_identifiable", "reason": NO_COLOURS}
         elif trial is not None and (why := _refusal(trial, found, criteria)):
             row |= {"reason": why}
+        if not there:
+            row = {"effect": name, "closed": 0.0, "status": row["status"], "reason": NO_GAP}
+        elif name in found.probabilities:
+            row |= {
+                "probability": found.probabilities[name],
+                "signs": dict(found.signs[name]),
+                "searched": name in found.accepted,
+            }
         rows.append(row)
     for name, why in apart.items():
         if name not in found.predicted:
             status = "not_identifiable" if why in (NO_HEADER, NO_COLOURS) else "absorbed"
             rows.append({"effect": name, "closed": 0.0, "status": status, "reason": why})
-    return sorted(rows, key=lambda row: (row["status"] != "accepted", -float(str(row["closed"]))))
+    return sorted(rows, key=_place)
+
+
+def _place(row: Mapping[str, Any]) -> tuple[bool, float, float]:
+    """The key of a row's place in the ranking; causes stay in the order of their closure."""
+    named = row["status"] == "accepted"
+    return not named, 0.0 if named else -row.get("probability", 0.0), -row["closed"]

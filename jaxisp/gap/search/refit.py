@@ -77,7 +77,8 @@ def refit(
         there = held.at(there.model.chosen(held.choices[choice]), there.z)
         alone = held.units(there)  # the gain of the choice without the effect does not count
         harmless = alone if np.nanmean(alone) < np.nanmean(harmless) else harmless
-    drop = harmless - held.units(held.at(there.model, at.z))
+    ended = held.at(there.model, at.z)
+    drop = harmless - held.units(ended)
     lost = float(np.nanmean(drop))
     drops = clustered(evidence, drop)
     low, high = interval(drops, whole.size)
@@ -92,6 +93,9 @@ def refit(
         None if choice is None else evidence.choices[choice],
         farther=-nearer / max(far, _ROUNDING), cleared=cleared, error=at.error,
         surely=closed - factor * (closed - interval(drops, whole.parts)[0]),
+        learnt=(start.error - at.error) / whole.size,
+        drops=drop,
+        changes=held.changes(there, ended),
     )  # fmt: skip
 
 

@@ -49,6 +49,26 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
     }, point
 
 
+def halves(evidence: Evidence, point: Point, names: Sequence[str]) -> dict[str, float]:
+    """By effect, how far its numbers agree between the fitted and the held-out pairs, in [-1, 1].
+
+    Each half takes a step of its own, beside the base. The value is the correlation of the changes that
+    the effect's part of the two steps makes. The point needs the columns of `screen`.
+    """
+    model, split = point.model, evidence.split
+    base = [*model.base_indices, *switched_on(point)]
+    found = {}
+    for name in names:
+        own = model.indices([name])
+        which = [*base, *own]
+        normal = evidence.normal(point, which)
+        one, other = (_step(point, which, normal, half)[len(base) :] for half in (split.fit, split.held_out))
+        gram = normal.gram.mean(0)[len(base) :, len(base) :]
+        size = float(np.sqrt((one @ gram @ one) * (other @ gram @ other)))
+        found[name] = float(one @ gram @ other) / size if size > 0 else 0.0
+    return found
+
+
 def hidden(objective: Objective, point: Point, names: Sequence[str], least: float) -> list[str]:
     """Effects that these pairs cannot show; grey scenes, for example, cannot show saturation.
 
@@ -58,20 +78,49 @@ def hidden(objective: Objective, point: Point, names: Sequence[str], least: floa
     The point needs the columns of `screen`. Effects that are searched on a grid are never listed.
     """
     model = point.model
+    names = [name for name in names if not searched(model, [name])]
+    beyond = _beyond_base(objective, point, model.indices(names))
+
+    def change(name: str) -> float:
+        own = model.indices([name])
+        reach = np.abs(model.ranges[:, own] - point.z[own]).max(0) / 2
+        return float(sum(r**2 * beyond[i] for r, i in zip(reach, own)))
+
+    return [name for name in names if change(name) < least]
+
+
+def smallest(
+    objective: Objective, point: Point, names: Sequence[str], least: float
+) -> dict[str, tuple[int, float]]:
+    """By effect, its most visible coordinate, and the change of it that changes the pairs by `least`.
+
+    Conditions are those of `hidden`. Effects that would need more than their range are left out.
+    """
+    model = point.model
+    names = [name for name in names if not searched(model, [name])]
+    beyond = _beyond_base(objective, point, model.indices(names))
+    found = {}
+    for name in names:
+        own = model.indices([name])
+        reach = np.abs(model.ranges[:, own] - point.z[own]).max(0)
+        needed = np.array([np.sqrt(least / max(beyond[i], 1e-12)) for i in own])
+        k = int(np.argmin(needed / reach))
+        if needed[k] < reach[k]:
+            found[name] = own[k], float(needed[k])
+    return found
+
+
+def _beyond_base(objective: Objective, point: Point, which: Sequence[int]) -> dict[int, float]:
+    """By coordinate, the mean square change of the pairs per unit that the base cannot imitate."""
+    model = point.model
     order = {i: k for k, i in enumerate(sorted(point.columns))}
     gram = objective.normal(point, list(order)).gram.mean(0)
     base = [order[i] for i in (*model.base_indices, *switched_on(point))]
     onto = np.linalg.pinv(gram[np.ix_(base, base)], rcond=1e-9, hermitian=True)
-
-    def change(name: str) -> float:
-        own = model.indices([name])
-        at, reach = [order[i] for i in own], np.abs(model.ranges[:, own] - point.z[own]).max(0) / 2
-        beyond = np.diag(gram)[at] - np.einsum(
-            "kb,bc,kc->k", gram[np.ix_(at, base)], onto, gram[np.ix_(at, base)]
-        )
-        return float(reach**2 @ beyond)
-
-    return [name for name in names if not searched(model, [name]) and change(name) < least]
+    at = [order[i] for i in which]
+    across = gram[np.ix_(at, base)]
+    beyond = np.diag(gram)[at] - np.einsum("kb,bc,kc->k", across, onto, across)
+    return dict(zip(which, beyond))
 
 
 def _step(point: Point, which: Sequence[int], normal: NormalEquations, learn: Sequence[int]) -> np.ndarray:

@@ -15,12 +15,14 @@ from jaxisp.gap.search.refit import distance, nearest_form, refit
 from jaxisp.gap.search.screening import (
     best,
     closer_in_pixels,
+    halves,
     hidden,
     like_the_nearest,
     lookalikes,
     of_form,
     predicted,
     screen,
+    smallest,
 )
 from jaxisp.gap.search.trial import Bars, Cause, Trial, Whole
 
@@ -66,12 +68,18 @@ class Searched(NamedTuple):
         trials: trials of the first step, by effect.
         predicted: predicted drop of the error at the first step, by effect.
         hidden: effects that these pairs cannot show.
+        smallest: result of `screening.smallest`: the least change of each effect that the gap would show.
+        steps: trials of each step.
+        halves: result of `screening.halves`, of the first step.
     """
 
     causes: list[Cause]
     trials: dict[str, Trial]
     predicted: dict[str, float]
     hidden: list[str]
+    smallest: Mapping[str, tuple[int, float]]
+    steps: Sequence[Sequence[Trial]] = ()
+    halves: Mapping[str, float] = MappingProxyType({})
 
 
 def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms, tick: Tick) -> Searched:
@@ -82,22 +90,29 @@ def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms,
     """
     if not (terms.most and names):
         drops, screened = screen(evidence, start, names)
-        return Searched([], {}, drops, hidden(evidence, screened, names, terms.visible))
+        least = terms.visible
+        unseen, seen = (of(evidence, screened, names, least) for of in (hidden, smallest))
+        return Searched([], {}, drops, unseen, seen)
     at, left, criteria = start, list(names), terms.criteria
     causes: list[Cause] = []
     first_trials: dict[str, Trial] = {}
     first_drops: dict[str, float] = {}
     unseen: list[str] = []
+    seen: dict[str, tuple[int, float]] = {}
+    steps: list[list[Trial]] = []
+    agreed: dict[str, float] = {}
     views = _views(evidence, start)
     for step in range(min(terms.most, len(names))):
         accepted = [t for t, _ in causes]
         trials, drops, at = _tried(evidence, views, left, accepted, terms, tick)
         if step == 0:
             first_trials, first_drops = {t.effect: t for t in trials}, drops
-            unseen = hidden(evidence, at, names, terms.visible)
+            unseen, seen = (of(evidence, at, names, terms.visible) for of in (hidden, smallest))
+            agreed = halves(evidence, at, [t.effect for t in trials])
         elif criteria.anew:
             tick(step, terms.most, "fitting the best anew")
             trials = _again(evidence, at, start.z, trials, terms)
+        steps.append(list(trials))
         winner = best(trials, criteria, terms.seen, _remaining(accepted))
         if winner is None or (not causes and winner.closed < terms.leading):
             break
@@ -114,7 +129,7 @@ def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms,
             names_needed = [t.effect for t in needed]
             others = [t for t in first_trials.values() if t.effect not in names_needed]
             causes = [(t, lookalikes(t, others, criteria, terms.apart)) for t in needed]
-    return Searched(causes, first_trials, first_drops, unseen)
+    return Searched(causes, first_trials, first_drops, unseen, seen, steps, agreed)
 
 
 def _remaining(causes: Sequence[Trial]) -> float:

@@ -56,6 +56,9 @@ class Trial:
             widened if there are few scenes.
         cleared: share of the pixels' squared distance beyond the noise that the effect removes.
         error: remaining error on the fitted pairs.
+        learnt: share of the gap that it closes on the fitted pairs.
+        drops: (N, U) its drop of the gap by pair and unit of the held-out pairs.
+        changes: (N, U) mean square of what it changes there, in the unit of the gap.
     """
 
     effect: str
@@ -72,11 +75,19 @@ class Trial:
     surely: float = np.inf
     cleared: float = 0.0
     error: float = np.inf
+    learnt: float = 0.0
+    drops: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)), compare=False)
+    changes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)), compare=False)
 
     @property
     def gain(self) -> float:
         """The drop of the gap."""
         return self.before - self.after
+
+    def share_of(self, factor: float) -> "Trial":
+        """The same trial, its closure a share of a gap that is 1 / `factor` times as large."""
+        ends = (self.closed * factor, self.low * factor, self.high * factor)
+        return dataclasses.replace(self, closed=ends[0], low=ends[1], high=ends[2])
 
     def possible(self, criteria: Criteria) -> bool:
         """Whether pixels come closer to the real ones, or move away by less than `Criteria.farthest`."""

@@ -1,23 +1,32 @@
-"""The verdict: causes of the gap, which lower it by more than effects do for cameras that lack none."""
+"""The verdict: which of the effects that the search found are there, and how sure that is.
+
+Detection is apart from explanation. An effect is named where its signs make it probable, however small a
+part of the gap it closes. What the named effects leave stays unexplained.
+"""
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxisp.gap.case import Case, Gap, Tick
 from jaxisp.gap.objective.protocol import Point
-from jaxisp.gap.search.account import Shown, accounted, shown
+from jaxisp.gap.search import score
 from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
 from jaxisp.gap.search.refit import clustered
-from jaxisp.gap.search.stepwise import Terms, ended, replayed, search
+from jaxisp.gap.search.signs import Signs, left_signs, signs
+from jaxisp.gap.search.states import Shown, shown
+from jaxisp.gap.search.stepwise import Searched, Terms, ended, replayed, search
 from jaxisp.gap.search.trial import Cause, Trial, Whole
+
+_LOCATED = 4
+"""Trials of the first step whose axes are measured: those that close most."""
 
 
 class Refused(NamedTuple):
-    """The best causes that do not account for the gap.
+    """Effects that the search accepted and that are not probable enough to be named.
 
     Attributes:
         causes: trials with their look-alikes.
@@ -34,14 +43,20 @@ class Found(NamedTuple):
     """Result of the search.
 
     Attributes:
-        causes: the accepted effects, each with its look-alikes.
+        causes: the named effects, each with its look-alikes.
         point: the point with the causes.
         trials: all trials of the first step, by effect.
         predicted: the drop that screening predicted, by effect.
         before: the gap by axis without the causes.
         after: the gap by axis with the causes.
-        refused: the best refused causes, if there is no cause.
+        refused: what the search accepted, if there is no cause.
         hidden: effects that these pairs cannot show.
+        accepted: effects that the search accepted, named or not.
+        signs: signs of the refitted effects.
+        probabilities: of the refitted effects, "other" and "none".
+        smallest: result of `screening.smallest`.
+        gap: at the base, above the floor that the point with the causes has; closures are shares of it. None
+            without causes.
     """
 
     causes: list[Cause]
@@ -52,10 +67,15 @@ class Found(NamedTuple):
     after: Shown
     refused: Refused | None = None
     hidden: Sequence[str] = ()
+    accepted: Sequence[str] = ()
+    signs: Mapping[str, Mapping[str, float]] = {}
+    probabilities: Mapping[str, float] = {}
+    smallest: Mapping[str, tuple[int, float]] = {}
+    gap: Gap | None = None
 
     @property
     def nearest(self) -> list[Trial]:
-        """Trials of the best refused causes; empty if causes were accepted."""
+        """Trials that the search accepted and that are not named; empty if causes were named."""
         return [] if self.refused is None else [trial for trial, _ in self.refused.causes]
 
 
@@ -80,7 +100,7 @@ def terms_of(case: Case, gap: Gap) -> Terms:
         whole_of(case, scale),
         least=alone,
         most=criteria.most_causes if gap.exceeds(criteria.null_drop) else 0,
-        leading=criteria.leading * (1 - _grain_closes(case, scale, alone)),
+        leading=min(criteria.begins, visible / scale),
         enough=alone if criteria.least_of_rest else -np.inf,
         apart=criteria.apart * gap.unit / scale,
         seen=case.seen,
@@ -91,28 +111,91 @@ def terms_of(case: Case, gap: Gap) -> Terms:
 
 
 def searched(case: Case, gap: Gap, tick: Tick) -> Found:
-    """Search for causes, and keep the longest leading part of them that accounts for the gap."""
+    """Search for effects, and name those that are probable."""
     evidence, criteria, start = case.evidence, case.criteria, case.point
     before, terms = shown(evidence, start), terms_of(case, gap)
     found = search(evidence, start, case.offered, terms, tick)
-    steps, trials, predicted = found.causes, found.trials, found.predicted
-    refused: Refused | None = None
-    for count in range(len(steps), -1, -1):
-        causes = steps[:count]
-        at = ended(evidence, start, *(t for t, _ in causes))
-        if case.stored is not None:
-            grain = _grain(case, at, gap.scale, terms.least)
+    seen = effect_signs(case, gap, found, before)
+    probable = {name: score.probability(score.EFFECT, own._asdict()) for name, own in seen.items()}
+    noted: dict[str, Mapping[str, float]] = {name: own._asdict() for name, own in seen.items()}
+    causes, at = named(case, found, probable, terms)
+    trials, predicted = found.trials, found.predicted
+    if case.stored is not None:
+        grain = _grain(case, at, gap.scale, terms.least)
+        noted[grain.effect] = own = grain_signs(gap, grain)
+        probable[grain.effect] = score.probability(score.GRAIN, own)
+        if terms.most and probable[grain.effect] >= criteria.named:
             causes = with_grain(causes, grain, gap.floor, criteria)
-            if count == len(steps):
-                trials, predicted = trials | {"film_grain": grain}, predicted | {"film_grain": grain.gain}
-        # without a gap there are no causes, although smoothing alone can come below the floor
-        if terms.most and causes and max(t.closed for t, _ in causes) >= criteria.leading:
-            after, names, left = shown(evidence, at), [t.effect for t, _ in causes], causes[-1][0].after
-            if accounted(criteria, names, before, after, gap, left):
-                causes, after, at = _as_added(case, causes, after, at, terms)
-                return Found(causes, at, trials, predicted, before, after, hidden=found.hidden)
-            refused = refused or Refused(by_closure(causes), after, at)
-    return Found([], start, trials, predicted, before, before, refused, found.hidden)
+        trials, predicted = trials | {"film_grain": grain}, predicted | {"film_grain": grain.gain}
+    after = shown(evidence, at) if causes else before
+    refused = None
+    if not causes and found.causes:
+        end = ended(evidence, start, *(t for t, _ in found.causes))
+        refused = Refused(by_closure(found.causes), shown(evidence, end), end)
+    end = None
+    if causes:
+        causes, after, at = _as_added(case, causes, after, at, terms)
+        end = case.gap_above(gap, at)
+        causes = [(t.share_of(gap.scale / end.scale), alike) for t, alike in causes]
+        trials = {name: t.share_of(gap.scale / end.scale) for name, t in trials.items()}
+    reached = causes[-1][0].after if causes else gap.before
+    left = left_signs(end or gap, reached, max(probable.values(), default=0.0))
+    probable |= {q: score.probability(q, left) for q in (score.OTHER, score.NONE)}
+    accepted = [t.effect for t, _ in found.causes] + [n for n in trials if n not in found.trials]
+    return Found(
+        causes, at, trials, predicted, before, after, refused, found.hidden, accepted, noted, probable,
+        found.smallest, end,
+    )  # fmt: skip
+
+
+def effect_signs(case: Case, gap: Gap, found: Searched, before: Shown) -> dict[str, Signs]:
+    """The signs of all refitted effects: of a cause in the step that found it, of others in the first."""
+    evidence, model, start = case.evidence, case.point.model, case.point
+    own: dict[str, Signs] = {}
+    left = 1.0 - sum(t.closed for t, _ in found.causes)
+
+    def of(trial: Trial, step: Sequence[Trial], agreed: float, was: Shown, now: Shown) -> Signs:
+        numbers = trial.z[model.indices([trial.effect])] if trial.effect in model.effects else np.zeros(0)
+        return signs(case.kind, gap, trial, step, numbers, agreed, (was, now), left)
+
+    first = sorted(found.steps[0] if found.steps else [], key=lambda t: -t.closed)
+    states = {t.effect: shown(evidence, ended(evidence, start, t)) for t in first[:_LOCATED]}
+    for trial in first:
+        now = states.get(trial.effect, before)
+        own[trial.effect] = of(trial, first, found.halves.get(trial.effect, 0.0), before, now)
+    at, was = start, before
+    for k, (trial, _) in enumerate(found.causes):
+        at = ended(evidence, at, trial)
+        now = states[trial.effect] if k == 0 and trial.effect in states else shown(evidence, at)
+        if k:
+            own[trial.effect] = of(trial, found.steps[k], found.halves.get(trial.effect, 0.0), was, now)
+        was = now
+    return own
+
+
+def named(
+    case: Case, found: Searched, probable: Mapping[str, float], terms: Terms
+) -> tuple[list[Cause], Point]:
+    """The causes that are probable, and the point with them; refitted where one before another is dropped."""
+    kept = [cause for cause in found.causes if probable[cause[0].effect] >= case.criteria.named]
+    if not kept:
+        return [], case.point
+    end = ended(case.evidence, case.point, *(t for t, _ in found.causes))
+    if len(kept) == len(found.causes):
+        return kept, end
+    if kept == found.causes[: len(kept)]:
+        return kept, ended(case.evidence, case.point, *(t for t, _ in kept))
+    names = [t.effect for t, _ in kept]
+    trials, at = replayed(case.evidence, case.point, names, end.z, terms.whole, 0.0, case.criteria)
+    return [(trial, alike) for trial, (_, alike) in zip(trials, kept)], at
+
+
+def grain_signs(gap: Gap, grain: Trial) -> dict[str, float]:
+    """The signs of film grain beside a RAW, which moves no parameter and lowers no error."""
+    return {
+        "size": float(np.log2(1 + max(grain.low * gap.scale / gap.unit, 0.0))),
+        "closed": float(np.clip(grain.closed, 0, 1.2)),
+    }
 
 
 def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
@@ -121,14 +204,6 @@ def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
     assert pixels is not None and stored is not None
     seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
     return grain_trial(seen, stored, at.z, scale, least)
-
-
-def _grain_closes(case: Case, scale: float, least: float) -> float:
-    """The share in [0, 1] of the gap that film grain accounts for at the base; no effect can close it."""
-    if case.stored is None:
-        return 0.0
-    grain = _grain(case, case.point, scale, least)
-    return min(max(grain.closed, 0.0), 1.0) if grain.accepted(case.criteria) else 0.0
 
 
 def _as_added(
