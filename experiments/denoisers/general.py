@@ -37,8 +37,8 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 
 TRAINING: dict[str, Any] = {
     "recipe": "any-camera", "model": "weighnet", "target": "camera", "patch": 64, "batch": 4,
-    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
-    "pool": 22_528, "steps": 4_000, "lr": 3e-3, "ema": 0.998, "loss": "l1", "log_every": 50,
+    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 200,
+    "pool": 22_528, "steps": 800, "lr": 3e-3, "ema": 0.99, "loss": "l1", "log_every": 50,
 }  # fmt: skip
 
 
