@@ -1,10 +1,10 @@
-"""The network that ships: its clean pictures, its training, its file.
+"""A network for all cameras: its clean pictures, its training, its file.
 
 python -m experiments.denoisers.general clean DATA --work RUNS --photos FOLDER ...
 python -m experiments.denoisers.general train --work RUNS
 python -m experiments.denoisers.general export --work RUNS
 
-Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, as those that ship.
+Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, of another run.
 """
 
 import argparse
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("--run", default="general")
     parser.add_argument("--steps", type=int)
     parser.add_argument("--start", default="", help="weights to begin with")
-    parser.add_argument("--out", type=Path, default=Path("jaxisp/models/general.npz"))
+    parser.add_argument("--out", type=Path, default=Path("general.npz"))
     options = parser.parse_args()
     if options.what == "clean":
         clean(options.data, options.photos, options.work / "clean")
