@@ -3,7 +3,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
-PYTEST := $(BIN)/python -m pytest -n 2
+# tests start many processes: each would compile the package's modules again where Python may not keep them
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2
+# bytecode on all cores, where pip takes one; without the tests of others
+COMPILE := import compileall, re, sysconfig; compileall.compile_dir(sysconfig.get_path("purelib"), \
+  quiet=2, workers=0, rx=re.compile(r"\Wtests?\W"))
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 
@@ -14,11 +18,11 @@ demo: $(READY)
 # and fit serves others of their file
 test: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-	$(PYTEST) --dist loadfile -m "not slow and optimised"
+	$(PYTEST) --dist loadgroup -m "not slow and optimised"
 
 test-all: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-	$(PYTEST) --dist loadfile -m "slow or optimised"
+	$(PYTEST) --dist loadgroup -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -40,7 +44,8 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "jaxisp needs Python 3.11 or later; say which with: make PYTHON=python3.12 ..."; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@$(BIN)/python -c '$(COMPILE)'
 	@touch $@
 
 # large, and only for comparison: without them the tables say that they are not installed

@@ -38,6 +38,7 @@ def encoder_of(file: Jpeg | None, name: str = ENCODER) -> tuple[Stage, Params] |
         return encoder, {name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
     options = {
         "subsampling": file.subsampling, "components": file.color_space, "converts": file.converted,
+        "in_14_bits": file.icc is not None,  # who states colours in EXIF has no colour management to imitate
     }  # fmt: skip
     params = JpegFile(tables=tables)
     if file.space is not None:

@@ -5,7 +5,16 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """Bad input: one line that names what is wrong and what would be right."""
+    """Bad input: one line that names what is wrong and what would be right.
+
+    Example:
+        >>> import jaxisp
+        >>> try:
+        ...     jaxisp.recipes.amwgn().without("mosaic")
+        ... except jaxisp.InputError as error:
+        ...     print(type(error).__mro__[1].__name__)
+        ValueError
+    """
 
 
 def meant(name: str, known: Iterable[str]) -> str:

@@ -10,12 +10,22 @@ def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:
     Gradient: exact, bounded by 1.
 
     Source: Charbonnier, Blanc-Feraud, Aubert & Barlaud 1994.
+
+    Example:
+        >>> import numpy as np
+        >>> round(float(charbonnier(np.float32(3.0))), 2)
+        3.0
     """
     return x**2 / (jnp.sqrt(x**2 + epsilon**2) + epsilon)  # the same, without cancellation near 0
 
 
 def border_mask(shape: tuple[int, ...], border: int) -> jax.Array:
-    """(H, W) boolean for an image of that shape: False within `border` px of an edge, True inside."""
+    """(H, W) boolean for an image of that shape: False within `border` px of an edge, True inside.
+
+    Example:
+        >>> int(border_mask((8, 6), 2).sum())
+        8
+    """
     h, w = shape[:2]
     rows = jax.lax.broadcasted_iota(jnp.int32, (h, w), 0)
     columns = jax.lax.broadcasted_iota(jnp.int32, (h, w), 1)
@@ -26,6 +36,11 @@ def clip_mask(image: jax.Array, low: float = 1 / 255, high: float = 254 / 255) -
     """(H, W) boolean: True where every channel of (H, W, 3), or the (H, W) plane, is in [low, high].
 
     A clipped pixel says only that the scene was darker or brighter: it must not pull on the fit.
+
+    Example:
+        >>> import numpy as np
+        >>> clip_mask(np.asarray([[0.0, 0.5, 1.0]])).tolist()
+        [[False, True, False]]
     """
     inside = (image >= low) & (image <= high)
     return inside.all(axis=-1) if image.ndim == 3 else inside

@@ -35,6 +35,12 @@ def psnr(a: jax.Array, b: jax.Array, border: int = 0, mask: jax.Array | None = N
         ValueError: the shapes differ or the border leaves nothing.
 
     Gradient: exact below 120 dB, 0 there.
+
+    Example:
+        >>> import numpy as np
+        >>> zeros = np.zeros((16, 16, 3), np.float32)
+        >>> round(float(psnr(zeros, zeros + 0.1)), 3)
+        20.0
     """
     _check_shapes(a, b)
     h, w = a.shape[:2]
@@ -68,6 +74,12 @@ def ssim(a: jax.Array, b: jax.Array, window: Window = "gaussian") -> jax.Array:
     Gradient: exact.
 
     Source: Wang, Bovik, Sheikh & Simoncelli 2004.
+
+    Example:
+        >>> import numpy as np
+        >>> image = np.random.default_rng(0).random((16, 16), np.float32)
+        >>> round(float(ssim(image, image)), 6)
+        1.0
     """
     radius = len(_taps(window)) // 2
     values = ssim_map(a, b, window)
@@ -78,6 +90,12 @@ def ssim_map(a: jax.Array, b: jax.Array, window: Window = "gaussian") -> jax.Arr
     """Structural similarity of each pixel's neighbourhood, in the shape of `a`; see `ssim`.
 
     Within a window's radius of the border the image is mirrored, its edge pixel repeated.
+
+    Example:
+        >>> import numpy as np
+        >>> image = np.random.default_rng(0).random((16, 20), np.float32)
+        >>> ssim_map(image, 1 - image).shape
+        (16, 20)
     """
     _check_shapes(a, b)
     taps = _taps(window)
@@ -104,6 +122,12 @@ def match_moments(clean: jax.Array, output: jax.Array) -> jax.Array:
     Gradient: exact, of what is returned.
 
     Source: Jaroensri et al. 2019, the normalisation of clean images before PSNR and SSIM.
+
+    Example:
+        >>> import numpy as np
+        >>> image = np.random.default_rng(0).random((16, 16), np.float32)
+        >>> bool(np.allclose(match_moments(image, 0.5 * image + 0.1), 0.5 * image + 0.1, atol=1e-5))
+        True
     """
     _check_shapes(clean, output)
 

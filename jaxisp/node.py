@@ -122,6 +122,11 @@ class Stage(Node):
 
     The result has the image's dtype. Images of half precision are computed in float32 and rounded at the end;
     parameters take the dtype that is computed in.
+
+    Example:
+        >>> import jaxisp
+        >>> isinstance(jaxisp.stage("unsharp_mask"), jaxisp.Stage)
+        True
     """
 
     fn: Callable[..., jax.Array]
@@ -207,6 +212,12 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
     Raises:
         KeyError: no stage of that name. TypeError: no such option. InputError: an option of another type, or
             not within its limits.
+
+    Example:
+        >>> import jaxisp
+        >>> sensor = jaxisp.stage("mosaic", cfa="RGGB", name="sensor")
+        >>> sensor.name, sensor.options["cfa"], sensor.domain_out.name
+        ('sensor', 'RGGB', 'mosaic')
     """
     if isinstance(fn, str):
         fn = find_stage(fn)

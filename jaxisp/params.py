@@ -73,7 +73,16 @@ def param(
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(dataclasses.field,))
 def parameters(cls: type[T]) -> type[T]:
-    """Make a class of `param` fields a frozen, keyword-only dataclass and a JAX pytree."""
+    """Make a class of `param` fields a frozen, keyword-only dataclass and a JAX pytree.
+
+    Example:
+        >>> @parameters
+        ... class Halation:
+        ...     strength: Leaf = param(0.0, (0.0, 0.5), "1", doc="share of light that is spread")
+        ...     radius: Leaf = param(4.0, (0.5, 32.0), "px", log=True, doc="standard deviation")
+        >>> Halation(strength=0.1).radius.item(), specs(Halation)["radius"].unit
+        (4.0, 'px')
+    """
     cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         if "spec" not in field.metadata:
@@ -133,6 +142,12 @@ def to_unbounded(tree: Tree, margin: float = 1e-4) -> Tree:
 
     Values closer to a bound than `margin` of the range are moved to that distance, which keeps
     the result finite.
+
+    Example:
+        >>> from jaxisp.stages.noise import GaussianNoise
+        >>> there = to_unbounded(GaussianNoise(std=0.1))
+        >>> round(float(to_bounded(there).std), 5)
+        0.1
     """
 
     def forward(spec: Spec, value: Any) -> jax.Array:

@@ -24,6 +24,12 @@ class AnyPhase(Around):
 
     The picture is moved against the pattern, within a border of reflected pixels, and moved back. At phase
     (0, 0) the pattern is that of the stages; at (0, 1) GRBG is RGGB.
+
+    Example:
+        >>> import jaxisp
+        >>> chain = jaxisp.Chain((jaxisp.stage("mosaic"), jaxisp.stage("demosaic_bilinear")))
+        >>> jaxisp.AnyPhase(chain).init()["cfa_phase"]
+        CfaPhase(row=0, column=0)
     """
 
     node: Node

@@ -71,7 +71,17 @@ class Row(Node):
 @dataclass(frozen=True, repr=False)
 class Chain(Row):
     """Stages one after another; itself a stage. Keys are folded in by stage name, so leaving one
-    stage out keeps the others' noise bit-identical."""
+    stage out keeps the others' noise bit-identical.
+
+    Example:
+        >>> import jaxisp
+        >>> blur = jaxisp.stage("optical_blur")
+        >>> chain = jaxisp.Chain((blur, jaxisp.stage("unsharp_mask")))
+        >>> sorted(chain.init())
+        ['optical_blur', 'unsharp_mask']
+        >>> list(chain.without("unsharp_mask").names())
+        ['optical_blur']
+    """
 
     name: str = "chain"
 
@@ -138,6 +148,14 @@ class Gate(Around):
 
     Its switch is `params["use_NAME"].on`. Off costs next to nothing unbatched; under `vmap` with a
     switch per image both branches run.
+
+    Example:
+        >>> import jaxisp, numpy as np
+        >>> gate = jaxisp.Gate(jaxisp.stage("unsharp_mask"))
+        >>> params, image = gate.init(), np.eye(8, dtype=np.float32)[..., None].repeat(3, -1)
+        >>> params["use_unsharp_mask"] = type(params["use_unsharp_mask"])(on=0.0)
+        >>> bool((jaxisp.run(gate, params, image) == image).all())
+        True
     """
 
     node: Node
@@ -176,6 +194,14 @@ class Shuffle(Row):
 
     Independent uniform priorities draw every order with equal chance. Unbatched, an order is free;
     under `vmap` with an order per image each step runs all branches.
+
+    Example:
+        >>> import jaxisp
+        >>> both = jaxisp.Shuffle((jaxisp.stage("median"), jaxisp.stage("unsharp_mask")))
+        >>> list(both.names())
+        ['order', 'median', 'unsharp_mask']
+        >>> both.init()["order"].priority.tolist()
+        [0.0, 1.0]
     """
 
     name: str = "order"
@@ -281,7 +307,14 @@ def _require_keeping(node: Node, what: str) -> None:
 
 @functools.partial(jax.jit, static_argnums=0)
 def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = None) -> jax.Array:
-    """`node(params, image, key=key)`, compiled once per pipeline and shape."""
+    """`node(params, image, key=key)`, compiled once per pipeline and shape.
+
+    Example:
+        >>> import jaxisp, numpy as np
+        >>> node = jaxisp.stage("optical_blur")
+        >>> jaxisp.run(node, node.init(), np.ones((8, 12, 3), np.float32)).shape
+        (8, 12, 3)
+    """
     check_backend()  # while this is traced, so once a compile
     return node(params, image, key=key)
 
@@ -304,6 +337,13 @@ def run_in_strips(
 
     Returns:
         What `run` returns, to rounding.
+
+    Example:
+        >>> import jaxisp, numpy as np
+        >>> node, frame = jaxisp.stage("optical_blur"), np.ones((600, 16, 3), np.float32)
+        >>> strips = jaxisp.run_in_strips(node, node.init(), frame, rows=128)
+        >>> bool(np.allclose(strips, jaxisp.run(node, node.init(), frame), atol=1e-6))
+        True
     """
     if node.stochastic and key is None:
         raise TypeError(f"{node.name} draws noise: pass key=jax.random.key(seed)")
@@ -340,6 +380,14 @@ def run_batch(
         images: (N, H, W, 3) or (N, H, W).
         key: a root key, where anything draws noise.
         start: the global index of the first image.
+
+    Example:
+        >>> import jax, jaxisp, numpy as np
+        >>> node, images = jaxisp.stage("gaussian_noise"), np.full((4, 8, 8, 3), 0.5, np.float32)
+        >>> noisy = jaxisp.run_batch(node, node.init(), images, jax.random.key(0))
+        >>> last = jaxisp.run_batch(node, node.init(), images[3:], jax.random.key(0), start=3)
+        >>> bool((noisy[3] == last[0]).all())
+        True
     """
     check_backend()
     params = {name: entry(params, name, type(own)) for name, own in node.init().items()}
@@ -397,7 +445,10 @@ def spread(
     images: Any,
     keys: Any,
 ) -> jax.Array:
-    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh."""
+    """`fn(params, images, keys)`, each device with its own images; their axis is spread over the mesh.
+
+    Parts of an image are gathered first, since stages read beyond them.
+    """
     rows = PartitionSpec(jax.typeof(images).sharding.spec[0])
     specs = jax.tree.map(lambda a: PartitionSpec() if a is None else rows, axes, is_leaf=lambda a: a is None)
     in_specs = (specs, rows, None if keys is None else rows)

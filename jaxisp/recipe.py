@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
-from jaxisp.domains import ENCODED, accepts
+from jaxisp.domains import CAMERA, ENCODED, LINEAR, PROPHOTO, XYZ_D65, Domain, accepts
 from jaxisp.errors import InputError, meant, one_line
 from jaxisp.io.files import parse_toml, read_toml, short, write_text
 from jaxisp.params import specs, strong
@@ -24,10 +24,10 @@ from jaxisp.serialize import decode_node, decode_params, encode_node, encode_par
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 
-BRIGHTEST = 4.0
-"""Of encoded pictures; those that were sharpened or are linear light do not reach it, 8-bit levels do."""
-DARKEST = -0.25
-"""Likewise: pictures that were sharpened or resized do not reach it, those from -1 to 1 do."""
+ENCODED_LEVELS = -0.25, 1.25
+"""What sharpening or resizing may make of encoded pictures, whose levels are 0 to 1; 0 to 1.5 is no such."""
+LIGHT_LEVELS = -0.25, 4.0
+"""Linear light may be brighter than white; 8-bit levels are brighter than this."""
 LAST_INDEX = 2**31 - 1
 """Of samples."""
 _SIZE = (64, 64)  # of the picture that a recipe is tried on
@@ -40,6 +40,17 @@ class Recipe:
     Two recipes are equal where their TOML and the functions of their stages are. Recipes of equal chains
     share one compile if their priors are of the same kinds: numbers are traced. A recipe is a pytree of
     these numbers, so that a jitted function takes one as an argument.
+
+    Example:
+        >>> import jax, jaxisp, numpy as np
+        >>> from jaxisp.priors import Uniform
+        >>> recipe = jaxisp.recipes.amwgn().override(shot_read_noise={"read": Uniform(0.0, 0.02)})
+        >>> images = np.full((2, 16, 16, 3), 0.5, np.float32)
+        >>> noisy, clean, params = recipe.degrade(jax.random.key(0), images)
+        >>> noisy.shape, params["shot_read_noise"].read.shape
+        ((2, 16, 16, 3), (2,))
+        >>> jaxisp.Recipe.from_toml(recipe.to_toml()) == recipe
+        True
     """
 
     chain: Chain
@@ -169,18 +180,20 @@ class Recipe:
 
         Raises:
             TypeError: images are not (N, H, W, 3) floats, or the key is none.
-            ValueError: images hold NaN or are far outside [0, 1], as levels of 0 to 255 or -1 to 1 are (not
-                known of traced ones); they have no pixels; or there is no such index.
+            ValueError: images hold NaN or are outside [0, 1] by more than 0.25, as levels of 0 to 255, 0 to 2
+                or -1 to 1 are (not known of traced ones; linear light may reach 4); they have no pixels; or
+                there is no such index.
         """
         check_backend()
-        return _degrade(self.chain, strong(self.prior), *taken(f"recipe {self.name!r}", key, images, start))
+        given = taken(f"recipe {self.name!r}", key, images, start, self.chain.domain_in)
+        return _degrade(self.chain, strong(self.prior), *given)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
 
         Takes and raises what `degrade` does.
         """
-        key, images, start = taken(f"recipe {self.name!r}", key, images, start)
+        key, images, start = taken(f"recipe {self.name!r}", key, images, start, self.chain.domain_in)
         return _repeat(self.chain, key, params, images, start)
 
     def to_toml(self) -> str:
@@ -194,10 +207,11 @@ class Recipe:
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """Read a recipe. Raises InputError that names `source` and what is wrong."""
-        return cls._from_table(parse_toml(text, source), source)
+        return cls.from_table(parse_toml(text, source), source)
 
     @classmethod
-    def _from_table(cls, table: dict[str, Any], source: str) -> "Recipe":
+    def from_table(cls, table: dict[str, Any], source: str = "recipe") -> "Recipe":
+        """Read a recipe that stands in a larger TOML file. Raises what `from_toml` does."""
         try:
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
@@ -220,51 +234,59 @@ class Recipe:
     @classmethod
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
-        return cls._from_table(read_toml(path), str(path))
+        return cls.from_table(read_toml(path), str(path))
 
 
-def taken(who: str, key: jax.Array, images: ArrayLike, start: Any) -> tuple[jax.Array, jax.Array, Any]:
+def taken(
+    who: str, key: jax.Array, images: ArrayLike, start: Any, domain: Domain = ENCODED
+) -> tuple[jax.Array, jax.Array, Any]:
     """Key, images and start as they are computed with, checked as far as the host knows them."""
-    shape = jnp.shape(images)
-    if len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(jnp.result_type(images), jnp.floating):
-        got = f"{jnp.result_type(images)}{shape}"
+    shape, dtype = np.shape(images), getattr(images, "dtype", None)
+    if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
+        got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
     if not isinstance(key, jax.Array | np.ndarray):
         raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
-    check_levels(images, who)
+    check_levels(images, who, domain)
     return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
 
 
-def check_levels(images: ArrayLike, who: str) -> None:
-    """Raise ValueError where images hold what encoded pictures in [0, 1] do not: NaN, 0 to 255, -1 to 1.
+def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
+    """Raise ValueError where images hold what those of a domain do not: NaN, 0 to 255, -1 to 1.
 
     Wherever they are; of traced images, and of those that other processes hold a part of, nothing is known.
     """
     if isinstance(images, jax.core.Tracer) or not np.size(images):
         return
+    light = domain in (CAMERA, LINEAR, PROPHOTO, XYZ_D65)
+    darkest, brightest = LIGHT_LEVELS if light else ENCODED_LEVELS
     if isinstance(images, jax.Array):
         if not images.is_fully_addressable:
             return
         with jax.ensure_compile_time_eval():  # also of images that a program that is traced holds
-            if bool(_within(images)):
+            if bool(_within(images, darkest, brightest)):
                 return
     given = np.asarray(images)
-    low, high = float(given.min()), float(given.max())  # NaN where one is
-    if low >= DARKEST and high <= BRIGHTEST:
+    with np.errstate(invalid="ignore"):  # NumPy warns of NaN in bfloat16
+        low, high = float(given.min()), float(given.max())  # NaN where one is
+    if low >= darkest and high <= brightest:
         return
     if not np.isfinite(low + high):
         what, advice = "NaN or infinite values", ""
-    elif high > BRIGHTEST:
+    elif high > LIGHT_LEVELS[1]:
         what, advice = f"levels from {low:g} to {high:g}", ": divide 8 bits by 255"
-    else:
+    elif low < darkest:
         what, advice = f"levels from {low:g} to {high:g}", ": for -1 to 1 give (x + 1) / 2"
-    raise ValueError(f"{who} takes levels in [0, 1], got {what}{advice}")
+    else:
+        what, advice = f"levels from {low:g} to {high:g}", ": scale them, or cut what is above"
+    kind = "linear light whose white is 1" if light else "levels in [0, 1]"
+    raise ValueError(f"{who} takes {kind}, got {what}{advice}")
 
 
-@jax.jit
-def _within(images: jax.Array) -> jax.Array:
+@functools.partial(jax.jit, static_argnums=(1, 2))
+def _within(images: jax.Array, darkest: float, brightest: float) -> jax.Array:
     # NaN is not; a minimum and a maximum take four times as long, and pass over NaN of other devices
-    return ((images >= DARKEST) & (images <= BRIGHTEST)).all()
+    return ((images >= darkest) & (images <= brightest)).all()
 
 
 def check_photographs(recipe: Recipe) -> None:

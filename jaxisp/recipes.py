@@ -13,11 +13,18 @@ from typing import Any
 
 from jaxisp.domains import MOSAIC
 from jaxisp.errors import InputError
-from jaxisp.io.files import short
+from jaxisp.io.files import parse_toml, read_text, short
 from jaxisp.mixture import Mixture
 from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
+from jaxisp.published import PUBLISHED
+from jaxisp.published import bsrgan as bsrgan
+from jaxisp.published import cbdnet as cbdnet
+from jaxisp.published import darmstadt as darmstadt
+from jaxisp.published import low_light as low_light
+from jaxisp.published import rsblur as rsblur
+from jaxisp.published import unprocessing as unprocessing
 from jaxisp.recipe import Recipe
 from jaxisp.stages.balance import Saturation
 from jaxisp.stages.balanced_noise import BalancedNoise
@@ -229,7 +236,7 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
         phone_any,
         any_camera,
     )
-}
+} | PUBLISHED
 """The built-in recipes by the name that the command line takes."""
 
 
@@ -237,6 +244,10 @@ def find_recipe(name: str) -> Recipe:
     """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none.
 
     The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
+
+    Example:
+        >>> find_recipe("phone").name
+        'phone'
     """
     if name in RECIPES:
         return RECIPES[name]()
@@ -245,6 +256,28 @@ def find_recipe(name: str) -> Recipe:
     if not name.endswith(".toml") and not os.path.lexists(name):
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
+
+
+def find_degradation(name: str) -> Recipe | Mixture:
+    """What `find_recipe` finds, or a mixture: `phone=0.6,awgn=0.2,clean=0.2`, or a TOML file of one.
+
+    Raises:
+        InputError: there is no such recipe, or shares that do not sum to 1.
+    """
+    if "=" in name and not os.path.lexists(name):
+        shares: dict[str | Recipe, float] = {}
+        for part in name.split(","):
+            own, _, share = part.strip().rpartition("=")
+            try:
+                shares[own] = float(share)
+            except ValueError:
+                raise InputError(f"{part.strip()!r} is no share of a mixture, as phone=0.6") from None
+        return mix(shares)
+    if name.endswith(".toml") or os.path.lexists(name):
+        text = read_text(name)
+        if "mixture" in parse_toml(text, name):
+            return Mixture.from_toml(text, name)
+    return find_recipe(name)
 
 
 def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
@@ -257,6 +290,13 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
 
     Raises:
         InputError: no such recipe, two of one name, one that is not for photographs, or other shares.
+
+    Example:
+        >>> import jax, numpy as np
+        >>> mixture = mix({"amwgn": 0.5, "awgn": 0.5})
+        >>> _, _, params = mixture.degrade(jax.random.key(0), np.full((8, 8, 8, 3), 0.5, np.float32))
+        >>> params["recipe"].shape, mixture.names
+        ((8,), ('amwgn', 'awgn'))
     """
     if not isinstance(shares, Mapping):
         raise InputError(

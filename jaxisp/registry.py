@@ -70,6 +70,15 @@ def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: 
     Raises:
         TypeError: it is no stage function, or one that draws noise has a reach.
         ValueError: another stage has its name.
+
+    Example:
+        >>> import jaxisp
+        >>> from jaxisp.domains import LinearRGB
+        >>> def negative(image: LinearRGB) -> LinearRGB:
+        ...     "One minus the image. Gradient: exact."
+        ...     return 1 - image
+        >>> jaxisp.register(reach=0)(negative) is jaxisp.stage("negative").fn
+        True
     """
     if fn is None:
         return functools.partial(_register, locality=Locality(reach, block))

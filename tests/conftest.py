@@ -8,6 +8,8 @@ from pathlib import Path
 from tests.programs import kept_programs
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+# XLA cuts a program in parts to compile them on all cores; the workers use these already
+os.environ["XLA_FLAGS"] += " --xla_cpu_parallel_codegen_split_count=1"
 if os.environ.get("JAXISP_TESTS_QUICK"):
     # Most programs of tests run once, on small pictures: like this they compile in a third of the time.
     # Tests that run much, or that depend on the code that users run, are marked `optimised`.
@@ -39,6 +41,14 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     parallel.MOST = 1  # the workers use the cores
 
 _MOST_MEMORY = 3e9  # bytes
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """With `--dist loadgroup` a file's tests stay on one worker, and so do all of the fitter: one fit."""
+    for item in items:
+        folder = item.path.parent.name
+        item.add_marker(pytest.mark.xdist_group(folder if folder == "fit" else str(item.path)))
 
 
 @pytest.fixture(scope="module", autouse=True)

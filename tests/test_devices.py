@@ -194,8 +194,9 @@ def test_a_batch_on_an_explicit_mesh_has_the_bits_of_one_device():
     np.testing.assert_array_equal(noisy, wanted)
     jax.tree.map(np.testing.assert_array_equal, params, drawn)
     np.testing.assert_array_equal(recipe.repeat(KEY, drawn, spread, 3), wanted)
-    with pytest.raises(ValueError, match="along their first axis alone"):
-        recipe.degrade(KEY, jax.device_put(IMAGES[:4], NamedSharding(mesh, PartitionSpec(None, "batch"))))
+    for spec in (PartitionSpec(None, "batch"), PartitionSpec(None, None, "batch")):
+        across = jax.device_put(IMAGES[:4], NamedSharding(mesh, spec))
+        np.testing.assert_array_equal(recipe.degrade(KEY, across, 3)[0], wanted)
 
 
 def test_two_processes_give_the_bits_of_one(tmp_path):

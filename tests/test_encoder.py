@@ -2,9 +2,12 @@
 
 import io
 
+import colour
 import numpy as np
 import pytest
+from colour.models import normalised_primary_matrix
 from PIL import Image, ImageCms
+from PIL.TiffImagePlugin import IFDRational
 
 from jaxisp.encoder import encoder_of, no_encoder
 from jaxisp.gap.objective.pixels import as_stored
@@ -71,6 +74,26 @@ def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
     stored = as_stored((PICTURE / 255).astype(np.float32), file)
     off = np.abs(stored * 255 - file.pixels)
     assert off.mean() < 0.1, off.mean()
+
+
+@pytest.mark.parametrize("name", ["Display P3", "ProPhoto RGB"])
+@pytest.mark.optimised
+def test_it_works_in_a_space_that_exif_states_by_numbers(name):
+    """The file is converted by the definition of its space."""
+    own, srgb = colour.RGB_COLOURSPACES[name], colour.RGB_COLOURSPACES["sRGB"]
+    to_xyz = [normalised_primary_matrix(s.primaries, np.round(s.whitepoint, 4)) for s in (srgb, own)]
+    whites = [m.sum(1) for m in to_xyz]
+    adapted = colour.adaptation.matrix_chromatic_adaptation_VonKries(*whites, "Bradford") @ to_xyz[0]
+    light = colour.models.eotf_sRGB(PICTURE / 255) @ np.linalg.solve(to_xyz[1], adapted).T
+    exif = Image.Exif()
+    for code, values in ((319, own.primaries), (318, own.whitepoint)):
+        exif[code] = tuple(IFDRational(round(float(v) * 10000), 10000) for v in np.ravel(values))
+    exif.get_ifd(0x8769)[0xA500] = IFDRational(22, 10)
+    wide = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    file = coded(wide, quality=88, subsampling="4:4:4", exif=exif)
+    assert file.converted and no_encoder(file) is None
+    stored = as_stored((PICTURE / 255).astype(np.float32), file)
+    assert np.abs(stored * 255 - file.pixels).mean() < 0.05
 
 
 @pytest.mark.parametrize("step", [8192, 9000, 16384])

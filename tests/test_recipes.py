@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxisp.domains import EncodedRGB
+from jaxisp.domains import LINEAR, EncodedRGB
 from jaxisp.errors import InputError
 from jaxisp.pipeline import Chain, Gate, Order, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
-from jaxisp.recipe import LAST_INDEX, Recipe, _degrade, check_photographs, check_traces
+from jaxisp.recipe import LAST_INDEX, Recipe, _degrade, check_levels, check_photographs, check_traces
 from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.testing import smooth_image
@@ -155,7 +155,9 @@ def test_a_broken_recipe_is_refused(text, message):
     assert str(caught.value).startswith("r.toml: ")
 
 
-@pytest.mark.parametrize("images", [np.zeros((8, 8, 3), np.float32), np.zeros((1, 8, 8, 3), np.uint8)])
+@pytest.mark.parametrize(
+    "images", [np.zeros((8, 8, 3), np.float32), np.zeros((1, 8, 8, 3), np.uint8), [[[[0.5] * 3] * 8] * 8]]
+)
 def test_wrong_images_are_refused(images):
     with pytest.raises(TypeError, match="'awgn' takes"):
         RECIPES["awgn"]().degrade(KEY, images)
@@ -167,6 +169,24 @@ def test_levels_of_8_bits_and_a_key_that_is_none_are_refused_in_words():
         RECIPES["awgn"]().degrade(KEY, images)
     with pytest.raises(TypeError, match=r"jax\.random\.key\(0\), got 0"):
         RECIPES["awgn"]().degrade(0, images / 255)
+
+
+@pytest.mark.parametrize("name", ["awgn", "phone"])
+def test_encoded_levels_well_above_white_are_refused(name):
+    """Linear light may have them, before its curve."""
+    images = np.linspace(0, 1, 192, dtype=np.float32).reshape(1, 8, 8, 3)
+    recipe = RECIPES[name]()
+    for given in (images, jnp.asarray(images)):
+        for most in (1.5, 2.0, 3.9):
+            with pytest.raises(ValueError, match=f"in \\[0, 1\\], got levels from 0 to {most:g}: scale them"):
+                recipe.degrade(KEY, most * given)
+        check_levels(1.2 * given - 0.1, "sharpened pictures")
+        check_levels(3.9 * given, "light", LINEAR)
+        with pytest.raises(ValueError, match="linear light whose white is 1, got levels from 0 to 200"):
+            check_levels(200 * given, "light", LINEAR)
+    camera = Recipe(Chain((stage("exposure"), stage("srgb_oetf")), "from light"), {})
+    assert camera.chain.domain_in == LINEAR
+    assert np.isfinite(camera.degrade(KEY, 2 * images)[0]).all()
 
 
 @pytest.mark.parametrize("start", [LAST_INDEX - 6, -1, np.int64(2**32), 2**70, 0.5, [0, 1, 2], [2**31] * 8])

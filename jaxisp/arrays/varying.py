@@ -33,16 +33,10 @@ def varying(tree: Any) -> frozenset[Any]:
 
 
 def spread_over(images: Any) -> AbstractMesh | None:
-    """The explicit mesh that the first axis of an array is spread over; None where it is not.
-
-    Raises:
-        ValueError: another axis is spread over an explicit mesh.
-    """
+    """The explicit mesh that an array is spread over, along any axis; None where it is not."""
     sharding: Any = getattr(jax.typeof(images), "sharding", None)
-    spec = tuple(getattr(sharding, "spec", ()))
-    if any(axis is not None for axis in spec[1:]):
-        raise ValueError(f"images may be spread along their first axis alone, got {spec}")
-    return None if not spec or spec[0] is None else sharding.mesh
+    spec = getattr(sharding, "spec", ())
+    return sharding.mesh if any(axis is not None for axis in spec) else None
 
 
 def _axes(x: Any) -> frozenset[Any]:

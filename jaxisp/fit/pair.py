@@ -96,6 +96,8 @@ def align(example: Example) -> tuple[Example, Alignment, Lens, int, tuple[str, .
     why = jpeg and no_encoder(jpeg)
     if why:
         notes.append(f"what its JPEG encoder did is not modelled: {why}")
+    if example.raw.notes:
+        notes.append(f"RAW: {'; '.join(example.raw.notes)}")
     example = dataclasses.replace(example, picture=picture, jpeg=jpeg)
     return example, alignment, Lens(k1), orientation, tuple(notes)
 

@@ -19,8 +19,6 @@ _TEMPERATURES = {
 
 
 _DAYLIGHTS, _DAYLIGHT_TINT = (20, 21, 22, 23), 0.0032  # D55, D65, D75, D50 lie above the Planckian locus
-# Below and above these wavelengths [nm] the eye sees nothing.
-_SEEN = 360.0, 830.0
 
 Light = int | tuple[float, float]
 """An illuminant: an EXIF LightSource code, or a chromaticity x, y."""
@@ -67,13 +65,26 @@ def mixing_weights(illuminants: Sequence[Light], xy: np.ndarray) -> np.ndarray:
     """(n,) share of each illuminant's matrices in light of chromaticity `xy`; they sum to 1.
 
     Between two it is linear in inverse temperature, and held outside them. Of three each counts by its
-    distance in inverse temperature and tint. The first alone counts where another is unknown.
+    distance in inverse temperature and tint. Unknown illuminants do not count; the first counts alone where
+    fewer than two are known.
 
     Source: Digital Negative specification 1.7.1, chapter 6, and Adobe's DNG SDK 1.7 for three.
     """
-    first = np.eye(len(illuminants))[0]
-    lights = [_temperature_and_tint(light) for light in illuminants]
-    if len(lights) == 1 or not all(kelvin for kelvin, _ in lights):
+    out = np.zeros(len(illuminants))
+    known = [i for i, light in enumerate(illuminants) if is_known(light)]
+    used = known if len(known) > 1 else [0]
+    out[used] = _weights([_temperature_and_tint(illuminants[i]) for i in used], xy)
+    return out
+
+
+def is_known(light: Light) -> bool:
+    """Whether an illuminant has a temperature."""
+    return isinstance(light, tuple) or light in _TEMPERATURES
+
+
+def _weights(lights: list[tuple[float, float]], xy: np.ndarray) -> np.ndarray:
+    first = np.eye(len(lights))[0]
+    if len(lights) == 1:
         return first
     kelvin, tint = temperature_and_tint(xy)
     if len(lights) == 2:
@@ -125,33 +136,6 @@ def _planckian(kelvin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         1 - 2.89741816e-5 * kelvin + 1.61456053e-7 * kelvin**2
     )
     return u, v
-
-
-def spectrum_xy(first: float, step: float, power: np.ndarray) -> np.ndarray:
-    """(2,) chromaticity of a spectrum of `power` at wavelengths [nm] from `first` on.
-
-    Between samples it is linear, and held outside them.
-
-    Source: the observer (CIE 1931, 2 degrees) by Wyman et al. 2013, "Simple analytic approximations to
-    the CIE XYZ color matching functions".
-    """
-    nm = np.arange(_SEEN[0], _SEEN[1] + 1)
-    light = np.interp(nm, first + step * np.arange(power.size), power)
-    seen = _observer(nm) @ light
-    return seen[:2] / seen.sum()
-
-
-def _observer(nm: np.ndarray) -> np.ndarray:
-    """(3, wavelengths) sums of Gaussians whose two sides differ."""
-    lobes = (
-        (0, 1.056, 599.8, 37.9, 31.0), (0, 0.362, 442.0, 16.0, 26.7), (0, -0.065, 501.1, 20.4, 26.2),
-        (1, 0.821, 568.8, 46.9, 40.5), (1, 0.286, 530.9, 16.3, 31.1),
-        (2, 1.217, 437.0, 11.8, 36.0), (2, 0.681, 459.0, 26.0, 13.8),
-    )  # fmt: skip
-    out = np.zeros((3, nm.size))
-    for row, height, centre, below, above in lobes:
-        out[row] += height * np.exp(-0.5 * ((nm - centre) / np.where(nm < centre, below, above)) ** 2)
-    return out
 
 
 def white_xy(calibration: Calibration, neutral: np.ndarray) -> np.ndarray:

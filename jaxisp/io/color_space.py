@@ -88,6 +88,11 @@ def _power(exponent: float, x: np.ndarray) -> np.ndarray:
     return np.clip(x, 0, 1) ** exponent
 
 
+def sampled(values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Light of a table whose values are evenly spaced from 0 to 1, linear between them."""
+    return np.interp(x, np.linspace(0, 1, len(values)), values)
+
+
 def rec709(x: np.ndarray) -> np.ndarray:
     """The inverse of Rec. 709's (and Rec. 2020's) camera curve."""
     return np.where(x < 4.5 * 0.018054, x / 4.5, ((np.maximum(x, 0) + 0.0992968) / 1.0992968) ** (1 / 0.45))

@@ -11,13 +11,13 @@ import tifffile
 
 from jaxisp.cfa import check_cfa, size
 from jaxisp.io import tags
+from jaxisp.io.exif import sensitivity_tags
 from jaxisp.io.files import PathLike, atomic_write
 from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.opcodes import GainMap, Opcode, pack_opcodes, parse_opcodes
 
 __all__ = ["GainMap", "Opcode", "Tag", "pack_opcodes", "parse_opcodes", "write_dng"]
 
-_MOST_ISO = 65535  # of its own tag; the next ones state what is above
 _LARGEST = 2**32 - 1
 
 Tag = tuple[int, int, int, Any]
@@ -34,7 +34,7 @@ def write_dng(
     white: int,
     color_matrix: np.ndarray | None,
     as_shot_neutral: Sequence[float] = (1.0, 1.0, 1.0),
-    iso: int = 100,
+    iso: float = 100,
     exposure_time: float = 0.01,
     orientation: int = 1,
     noise_profile: np.ndarray | None = None,
@@ -57,6 +57,8 @@ def write_dng(
         white: level of a saturated pixel.
         color_matrix: (3, 3) XYZ to camera under D65 (ColorMatrix1), or None to leave it out.
         as_shot_neutral: what the camera sees of grey: the inverse of the white-balance gains.
+        iso: 1 to 4294967295; written as a whole number.
+        exposure_time: [s].
         orientation: EXIF 1 to 8.
         noise_profile: (1 or 3, 2) S and O in `S x + O`, as variances.
         gain_map: OpcodeList2; in coordinates of the active area.
@@ -65,14 +67,17 @@ def write_dng(
         crop: top, left, height, width in the active area (DefaultCrop); None is all of it.
         preview: a JPEG to embed as the first directory.
         extra_tags: (code, TIFF type, count, value) added to the RAW's directory, in place of those it has.
+
+    Raises:
+        ValueError: another mosaic or pattern; a sensitivity or an exposure time that no tag holds.
     """
     mosaic = np.asarray(mosaic)
     if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
         raise ValueError(f"write_dng: expected an (H, W) uint16 mosaic, got {mosaic.shape} {mosaic.dtype}")
-    if not 0 < iso <= _LARGEST:
-        raise ValueError(f"write_dng: iso = {iso}, expected 1 to {_LARGEST}")
-    if not 0 < exposure_time <= _LARGEST:
-        raise ValueError(f"write_dng: exposure_time = {exposure_time} s, expected above 0, up to {_LARGEST}")
+    if not 1 / _LARGEST <= exposure_time <= _LARGEST:
+        raise ValueError(
+            f"write_dng: exposure_time = {exposure_time} s, expected from {1 / _LARGEST:.2g} to {_LARGEST}"
+        )
     frame = active_area or (0, 0, *mosaic.shape)
     top, left, height, width = crop or (0, 0, frame[2] - frame[0], frame[3] - frame[1])
     levels = np.rint(np.asarray(black, np.float64) * 256).astype(int).ravel()
@@ -104,7 +109,7 @@ def _main_tags(
     make: str,
     model: str,
     orientation: int,
-    iso: int,
+    iso: float,
     exposure_time: float,
     color_matrix: np.ndarray | None,
     neutral: Sequence[float],
@@ -115,15 +120,16 @@ def _main_tags(
         (tags.MODEL, 2, 0, model.encode()),
         (tags.ORIENTATION, 3, 1, int(orientation)),
         (tags.EXPOSURE_TIME, 5, 1, _ratio(exposure_time)),
-        (tags.ISO, 3, 1, min(int(iso), _MOST_ISO)),
+        *(
+            (code, 4 if code == tags.SENSITIVITIES[2] else 3, 1, v)
+            for code, v in sensitivity_tags(iso).items()
+        ),
         (tags.DNG_VERSION, 1, 4, b"\1\4\0\0"),
         (50707, 1, 4, b"\1\1\0\0"),  # DNGBackwardVersion
         (50708, 2, 0, f"{make} {model}".encode()),  # UniqueCameraModel
         (tags.NEUTRAL, 5, 3, _rationals(neutral)),
         (tags.BASELINE_EXPOSURE, 10, 1, (0, 1)),
     ]
-    if iso >= _MOST_ISO:
-        out += [(tags.SENSITIVITY_TYPE, 3, 1, 2), (tags.RECOMMENDED_EXPOSURE_INDEX, 4, 1, int(iso))]
     if color_matrix is not None:
         out += [
             (tags.COLOR_MATRICES[0], 10, 9, _rationals(np.ravel(color_matrix))),
@@ -169,7 +175,7 @@ def _write_pages(
 
 def _ratio(value: float) -> tuple[int, int]:
     """Numerator and denominator, both of 32 bits."""
-    finest = min(1_000_000, _LARGEST // max(math.ceil(value), 1))
+    finest = _LARGEST // max(math.ceil(value), 1)
     ratio = Fraction(value).limit_denominator(finest)
     return ratio.numerator, ratio.denominator
 

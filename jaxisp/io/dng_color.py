@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from jaxisp.io import tags as tag
-from jaxisp.io.calibration import Calibration, Light, neutral_of, spectrum_xy, usable
+from jaxisp.io.calibration import Calibration, Light, is_known, neutral_of, usable
+from jaxisp.io.observer import spectrum_xy
 from jaxisp.io.tags import DngTags
 
 Tell = Callable[[str], None]
@@ -31,9 +32,11 @@ def calibration(tags: DngTags, tell: Tell) -> Calibration | None:
         tell("its AnalogBalance is not three positive numbers and is not used")
         balance = np.ones(3)
     lights = tuple(_illuminant(tags, i, tell) for i in slots)
-    if len(slots) > 1 and 0 in lights:
-        name = f"ColorMatrix{slots[0] + 1}"
-        tell(f"the light of one of its {len(slots)} ColorMatrices is unknown: {name} alone is used")
+    unknown = [f"ColorMatrix{i + 1}" for i, light in zip(slots, lights) if not is_known(light)]
+    if unknown and len(slots) > 1:
+        few = len(slots) - len(unknown) < 2
+        used = f"ColorMatrix{slots[0] + 1} alone is used" if few else "the others are used"
+        tell(f"the light of its {' and '.join(unknown)} is unknown: {used}")
     return Calibration(
         lights,
         np.stack([matrix for matrix in (colors[i] for i in slots) if matrix is not None]),
@@ -57,7 +60,7 @@ def _forward(tags: DngTags, slots: list[int]) -> list[np.ndarray | None] | None:
 def _camera(tags: DngTags, index: int, tell: Tell) -> np.ndarray:
     """CameraCalibration counts only beside a profile for which it was made."""
     matrix = tags.matrix(tag.CALIBRATIONS[index])
-    ours, theirs = (tags.get(c) or "" for c in (tag.CALIBRATION_SIGNATURE, tag.PROFILE_SIGNATURE))
+    ours, theirs = (tags.get(c) or b"" for c in (tag.CALIBRATION_SIGNATURE, tag.PROFILE_SIGNATURE))
     if matrix is None or np.array_equal(matrix, np.eye(3)):
         return np.eye(3)
     if ours != theirs:
@@ -117,7 +120,9 @@ def neutral(tags: DngTags, calibration: Calibration | None, as_shot: np.ndarray,
     if stated is not None:
         if stated.size == 3 and np.isfinite(stated).all() and 0 < stated.max() < _MOST_GAIN * stated.min():
             return stated / stated[1]
-        tell("its AsShotNeutral is not three positive numbers of one size and is not used")
+        # phones write zeros beside a chromaticity
+        if xy is None or np.nan_to_num(stated).any():
+            tell("its AsShotNeutral is not three positive numbers of one size and is not used")
     if xy is not None:
         fine = xy.size == 2 and np.isfinite(xy).all() and xy.min() > 0 and xy.sum() < 1
         seen = neutral_of(calibration, xy) if calibration is not None and fine else np.zeros(3)

@@ -1,5 +1,7 @@
 """What the tags of a DNG state about its levels, its noise, its lens and the shot."""
 
+import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +10,11 @@ import numpy as np
 from jaxisp.errors import InputError
 from jaxisp.io import tags as tag
 from jaxisp.io.dng_color import Tell
+from jaxisp.io.exif import iso_of, text_of
 from jaxisp.io.opcodes import Opcode, WarpRectilinear, check_gains, parse_opcodes, shades
 from jaxisp.io.tags import DngTags
 
-_MOST_CODE = 65535  # of a pixel, and of the ISO speed of EXIF
+_MOST_CODE = 65535  # of a pixel
 _MOST_EXPOSURE = 8.0  # EV
 _MOST_SCALE = 4.0
 
@@ -106,11 +109,37 @@ def lens(tags: DngTags, path: Path, tell: Tell) -> dict[str, Any]:
     return {"opcodes_2": shading[1], "opcodes_3": shading[2], "warp": warps[0] if warps else None}
 
 
+_HINTS = (
+    (tag.GREEN_SPLIT, "BayerGreenSplit", 0),
+    (tag.LINEAR_LIMIT, "LinearResponseLimit", 1),
+    (tag.SHADOW_SCALE, "ShadowScale", 1),
+    (tag.BLACK_RENDER, "DefaultBlackRender", 1),  # 0: a black point that the reader finds
+    (tag.BEST_SCALE, "BestQualityScale", 1),
+)
+
+
+def _is_hdr(tags: DngTags) -> bool:
+    """Whether ProfileDynamicRange says that the profile is for more than a display's white, or nonsense.
+
+    Source: Digital Negative specification 1.7.1, ProfileDynamicRange: version, range (0: standard), a hint.
+    """
+    data = tags.get(tag.DYNAMIC_RANGE)
+    plain = len(data) == 8 and struct.unpack_from(f"{tags.byteorder}2H", data)[1] == 0 if data else True
+    return not plain
+
+
 def tell_unused(tags: DngTags, tell: Tell) -> None:
     """What else the file states of its look and is not applied."""
     if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
         tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
-    names = [name for code, name in tag.STATED.items() if tags.get(code)]
+    names = list(dict.fromkeys(name for code, name in tag.STATED.items() if tags.get(code)))
+    # each has a value at which nothing is to be done; 0/0 states none
+    for code, name, plain in _HINTS:
+        value = tags.numbers(code)
+        if value is not None and np.isfinite(value).all() and not np.array_equal(value, [plain]):
+            names.append(f"{name} of {', '.join(f'{v:g}' for v in value)}")
+    if _is_hdr(tags):
+        names.append("ProfileDynamicRange (HDR)")
     if names:
         tell(f"its {', '.join(names)} {'is' if len(names) == 1 else 'are'} not applied")
     if tags.number(tag.COLORIMETRIC_REFERENCE, 0):
@@ -134,31 +163,19 @@ def header(tags: DngTags) -> dict[str, Any]:
     orientation = tags.main.get(tag.ORIENTATION, 1)
     return {
         "orientation": orientation if 1 <= orientation <= 8 else 1,
-        "iso": _iso(tags),
-        "exposure_time": tags.number(tag.EXPOSURE_TIME) or tags.exif("ExposureTime", rational=True),
-        "make": str(tags.main.get(tag.MAKE, "")).strip(),
-        "model": str(tags.main.get(tag.MODEL, "")).strip(),
+        "iso": iso_of({**tags.main, **tags.raw}) or iso_of(tags.exif),
+        "exposure_time": _seconds(tags),
+        "make": text_of(tags.main.get(tag.MAKE)),
+        "model": text_of(tags.main.get(tag.MODEL)),
     }
 
 
-def _iso(tags: DngTags) -> float | None:
-    """The speed; where it is more than its tag can say (65535), that which the next tags state.
-
-    Source: EXIF 2.32, PhotographicSensitivity and SensitivityType.
-    """
-    names = ("ISOSpeedRatings", "PhotographicSensitivity")
-    iso = tags.number(tag.ISO) or next(filter(None, map(tags.exif, names)), None)
-    if iso != _MOST_CODE:
-        return iso
-    kind = tags.number(tag.SENSITIVITY_TYPE) or tags.exif("SensitivityType") or 2
-    order = sorted(_SENSITIVITIES, key=lambda code: kind not in _SENSITIVITIES[code][1])
-    stated = (tags.number(code) or tags.exif(_SENSITIVITIES[code][0]) for code in order)
-    return next(filter(None, stated), iso)
-
-
-_SENSITIVITIES = {
-    tag.RECOMMENDED_EXPOSURE_INDEX: ("RecommendedExposureIndex", (2, 4, 6, 7)),
-    tag.STANDARD_OUTPUT_SENSITIVITY: ("StandardOutputSensitivity", (1, 4, 5, 7)),
-    tag.ISO_SPEED: ("ISOSpeed", (3, 5, 6, 7)),
-}
-"""Of each tag its name and the SensitivityTypes that say that it is stated."""
+def _seconds(tags: DngTags) -> float | None:
+    """The exposure time; None where it is not stated, or as no number."""
+    value = tags.exif.get(tag.EXPOSURE_TIME)
+    if isinstance(value, tuple):
+        value = value[0] / value[1] if len(value) > 1 and value[1] else None
+    for one in (tags.number(tag.EXPOSURE_TIME), value):
+        if isinstance(one, int | float) and math.isfinite(one) and one > 0:
+            return float(one)
+    return None

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageCms
 
 from jaxisp.errors import InputError
-from jaxisp.io.color_space import ColorSpace, Curve, gamma, of_xyz
+from jaxisp.io.color_space import ColorSpace, Curve, gamma, of_xyz, sampled
 
 _D50 = np.array([0.9642, 1.0, 0.8249])
 """White of the profile connection space."""
@@ -111,7 +111,7 @@ def _curve(data: bytes) -> Curve:
             return gamma(1.0)
         if count == 1:
             return gamma(float(values[0]) / 256)
-        return partial(_sampled, values / 65535)
+        return partial(sampled, values / 65535)
     if data[:4] == b"para" and len(data) >= 12:
         (kind,) = struct.unpack_from(">H", data, 8)
         if kind < len(_PARAMETERS):
@@ -125,10 +125,6 @@ def _rising(curve: Curve) -> Curve:
     if not first < last:
         raise ValueError("a curve that does not rise from black to white")
     return curve
-
-
-def _sampled(values: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return np.interp(x, np.linspace(0, 1, len(values)), values)
 
 
 def _parametric(kind: int, parameters: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from jaxisp.checks import check_finite
 from jaxisp.errors import InputError
-from jaxisp.io.color_space import SRGB_PRIMARIES, ColorSpace
+from jaxisp.io.color_space import ColorSpace
 from jaxisp.io.exif import exif_in, exif_of
 from jaxisp.io.files import (
     IMAGE_SUFFIXES,
@@ -27,6 +27,7 @@ from jaxisp.io.jpeg import Jpeg, decode_jpeg, to_bytes, why_not
 from jaxisp.io.orientation import orient
 from jaxisp.io.png_color import color_chunks, png_space
 from jaxisp.io.silence import silent_libraries
+from jaxisp.io.stated_color import stated_space
 from jaxisp.io.tags import quiet_tifffile
 
 _MODES = {
@@ -52,7 +53,7 @@ def read_image(path: PathLike, *, linear: bool = False) -> np.ndarray:
 
     Returns:
         (H, W, 3) float32 in [0, 1] (unless it is linear), as encoded, upright, converted to sRGB where the
-        file states another colour space: by a profile, in EXIF (Adobe RGB), in the chunks of a PNG. Colours
+        file states another colour space: by a profile, in EXIF or TIFF tags, in the chunks of a PNG. Colours
         are cut to sRGB's gamut. Linear light is converted to sRGB's primaries.
 
     Raises:
@@ -121,6 +122,13 @@ def write_png(
 
     Raises:
         InputError: NaN in the image, or the file cannot be written.
+
+    Example:
+        >>> import numpy as np, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_png(f"{folder}/grey.png", np.full((4, 6, 3), 0.5, np.float32))
+        ...     read_image(f"{folder}/grey.png").shape
+        (4, 6, 3)
     """
     pixels = to_bytes(image, str(path))
     with atomic_write(path) as file:
@@ -136,7 +144,8 @@ def _read_png(path: Path, data: bytes, linear: bool) -> np.ndarray:
         space, icc = png_space(color_chunks(data))
     except ValueError as error:
         raise InputError(f"{path}: states its colours by {error}") from error
-    space = exif.space if space is None and icc is None else space
+    if space is None and icc is None:
+        space = stated_space(exif.color, str(path), linear=linear)
     return _upright(_in_srgb(pixels, space, icc, path, linear), exif.orientation)
 
 
@@ -195,7 +204,7 @@ def _rgb(picture: Any, path: Path) -> np.ndarray:
     raise InputError(f"{path}: is {_MODES.get(picture.mode, picture.mode)}, expected an RGB picture")
 
 
-_PROFILE, _CHROMATICITIES = _COLOR_TAGS = 34675, 319
+_PROFILE = 34675
 
 
 def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
@@ -204,7 +213,7 @@ def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
             page: Any = tif.pages[0]
             kind, bits, samples = page.dtype, page.bitspersample, page.samplesperpixel
             photometric, deep = int(page.photometric), page.dtype is not None and page.dtype.itemsize > 1
-            icc, corners = (page.tags[code].value if code in page.tags else None for code in _COLOR_TAGS)
+            icc = page.tags[_PROFILE].value if _PROFILE in page.tags else None
             whole = kind is not None and bits == 8 * kind.itemsize
             wanted = deep and whole and photometric == 2 and samples == 3 and len(page.shape) == 3
             if wanted:
@@ -232,23 +241,11 @@ def _read_tiff(path: Path, data: bytes, linear: bool) -> np.ndarray:
         )
     if pixels.shape[-1] != 3 or 0 in pixels.shape:
         raise InputError(f"{path}: is a TIFF of shape {pixels.shape}, expected (H, W, 3)")
-    _check_color_tags(icc, corners if exif.space is None else None, path)
-    return _upright(_in_srgb(pixels, exif.space, icc or None, path, linear), orientation)
-
-
-def _check_color_tags(icc: Any, corners: Any, path: Path) -> None:
-    """Raise InputError where the profile is none, or there is none and the primaries are not sRGB's."""
     if icc is not None and not isinstance(icc, bytes):
         raise InputError(f"{path}: has a damaged colour profile (tag {_PROFILE} holds no bytes)")
-    if icc or corners is None:
-        return
-    numbers = np.ravel(corners).astype(float)
-    stated = numbers[0::2] / np.maximum(numbers[1::2], 1) if numbers.size == 12 else np.zeros(6)
-    if np.abs(stated - np.ravel(SRGB_PRIMARIES)).max() > 0.01:
-        raise InputError(
-            f"{path}: states other primaries than sRGB's (tag {_CHROMATICITIES}) and has no colour profile, "
-            "expected one"
-        )
+    codes = np.iinfo(pixels.dtype).max + 1 if pixels.dtype.kind == "u" else None
+    space = None if icc else stated_space(exif.color, str(path), codes, linear)
+    return _upright(_in_srgb(pixels, space, icc or None, path, linear), orientation)
 
 
 def _read_npy(path: Path, linear: bool) -> np.ndarray:

@@ -15,9 +15,10 @@ from jaxisp.io.color_space import ColorSpace
 from jaxisp.io.exif import exif_of, new_exif
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.icc import by_tables, profile_space
-from jaxisp.io.jpeg_frame import Frame, frame_header
+from jaxisp.io.jpeg_frame import Frame, color_profile, frame_header
 from jaxisp.io.orientation import orient
 from jaxisp.io.silence import silent_libraries
+from jaxisp.io.stated_color import StatedColor, stated_space
 from jaxisp.jpeg.tables import quality_tables
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
@@ -89,7 +90,7 @@ def read_jpeg(path: PathLike, *, to_srgb: bool = True) -> Jpeg:
 
     Raises:
         InputError: it is missing, empty, truncated, no JPEG, grayscale, CMYK, or not 8 bits deep; its profile
-            cannot be used.
+            or what its EXIF states of its colours cannot be used.
     """
     return decode_jpeg(read_bytes(path), str(path), to_srgb=to_srgb)
 
@@ -99,16 +100,16 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     if data[:3] != b"\xff\xd8\xff":
         raise InputError(f"{name}: is not a JPEG file")
     try:
-        frame = frame_header(data)
+        # not Pillow's profile: it passes over those after the frame header, and those that lack a part
+        frame, icc = frame_header(data), color_profile(data)
     except (ValueError, struct.error) as error:
         raise InputError(f"{name}: is a damaged or truncated JPEG ({error})") from error
     _check_frame(frame, name)
     check_pixels(frame.width, frame.height, len(data), name)
     picture, pixels = _decode(data, name)
-    icc = picture.info.get("icc_profile")
     exif, converted, space = exif_of(picture), False, None
     if to_srgb:
-        pixels, converted, space = _in_srgb(pixels, icc, exif.space, name)
+        pixels, converted, space = _in_srgb(pixels, icc, exif.color, name)
     return Jpeg(
         pixels=pixels,
         tables=_tables(picture, name),
@@ -181,10 +182,10 @@ def _color_space(frame: Frame, picture: Any) -> str:
 
 
 def _in_srgb(
-    pixels: np.ndarray, icc: bytes | None, stated: ColorSpace | None, name: str
+    pixels: np.ndarray, icc: bytes | None, stated: StatedColor, name: str
 ) -> tuple[np.ndarray, bool, ColorSpace | None]:
     """Pixels in sRGB, whether they had to be changed, and from which space where that is no table."""
-    space = profile_space(icc, name) if icc else stated
+    space = profile_space(icc, name) if icc else stated_space(stated, name)
     if space is None and icc:
         return by_tables(pixels, icc, name), True, None
     if space is None or space.is_srgb:

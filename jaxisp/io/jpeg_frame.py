@@ -1,6 +1,7 @@
-"""The frame header of a JPEG file: size and sampling, read without decoding anything."""
+"""The headers of a JPEG file, read without decoding anything: size, sampling, colour profile."""
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 _SUBSAMPLING = {
@@ -11,6 +12,7 @@ _SUBSAMPLING = {
     (4, 1): "4:1:1",
     (4, 2): "4:1:0",
 }
+_PROFILE = b"ICC_PROFILE\0"
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,34 @@ class Frame:
 
 def frame_header(data: bytes) -> Frame:
     """The first frame header; ValueError where there is none."""
+    for marker, body in _segments(data):
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return _parse_frame(marker, body)
+    raise ValueError("no frame header")
+
+
+def color_profile(data: bytes) -> bytes | None:
+    """The ICC profile, which may stand anywhere before the pixels and in several parts; None where there is
+    none.
+
+    Raises:
+        ValueError: parts of it are missing.
+
+    Source: ICC.1:2022, B.4.
+    """
+    parts = {
+        body[len(_PROFILE) :]
+        for marker, body in _segments(data)
+        if marker == 0xE2 and body.startswith(_PROFILE)
+    }
+    found = sorted(parts)  # each begins with its number and how many there are
+    if [part[:2] for part in found] != [bytes((i + 1, len(found))) for i in range(len(found))]:
+        raise ValueError("a part of its colour profile is missing")
+    return b"".join(part[2:] for part in found) or None
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Markers before the pixels, and what each holds; ValueError where none is where one should be."""
     at = 2
     while at + 4 <= len(data):
         if data[at] != 0xFF:
@@ -45,12 +75,10 @@ def frame_header(data: bytes) -> Frame:
             at += 1
             continue
         if marker in (0xD9, 0xDA):
-            break
+            return
         (length,) = struct.unpack_from(">H", data, at + 2)
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return _parse_frame(marker, data[at + 4 : at + 2 + length])
+        yield marker, data[at + 4 : at + 2 + length]
         at += 2 + length
-    raise ValueError("no frame header")
 
 
 def _parse_frame(marker: int, body: bytes) -> Frame:

@@ -131,17 +131,26 @@ def shades(opcode: Opcode | Unknown, planes: int) -> TypeGuard[GainMap | FixVign
 
 def check_gains(opcodes: Sequence[Opcode], name: str) -> None:
     """Raise InputError where gains are not positive, or further from 1 together than any lens needs."""
-    least = most = 1.0
+    # by pitch and phase: maps for other pixels do not multiply
+    least: dict[Any, dict[Any, float]] = {}
+    most: dict[Any, dict[Any, float]] = {}
     for opcode in opcodes:
+        pitch, phase = (1, 1), (0, 0)
         if isinstance(opcode, GainMap):
             low, high = float(opcode.gains.min()), float(opcode.gains.max())
+            pitch = opcode.pitch
+            phase = opcode.rectangle[0] % pitch[0], opcode.rectangle[1] % pitch[1]
         elif isinstance(opcode, FixVignetteRadial):
             gains = _polynomial(opcode)(np.linspace(0, 1, 257))
             low, high = float(gains.min()), float(gains.max())
         else:
             continue
-        least, most = least * min(low, 1.0), most * max(high, 1.0)
-        if not (least >= 1 / _MOST_GAIN and most <= _MOST_GAIN):
+        lows, highs = least.setdefault(pitch, {}), most.setdefault(pitch, {})
+        lows[phase] = lows.get(phase, 1.0) * min(low, 1.0)
+        highs[phase] = highs.get(phase, 1.0) * max(high, 1.0)
+        lowest = math.prod(min(own.values()) for own in least.values())
+        highest = math.prod(max(own.values()) for own in most.values())
+        if not (lowest >= 1 / _MOST_GAIN and highest <= _MOST_GAIN):
             raise InputError(
                 f"{name}: is damaged: {opcode.name} with gains from {low:g} to {high:g}, "
                 f"expected above 0 and, of all together, from {1 / _MOST_GAIN:g} to {_MOST_GAIN:g}"

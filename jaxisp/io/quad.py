@@ -28,6 +28,13 @@ class Filters(NamedTuple):
     size: int = 1
     start: tuple[int, int] = (0, 0)
 
+    @property
+    def cell(self) -> str:
+        """The pattern of the pixels, which repeats after 2 `size` of them, from the top-left."""
+        bayer = np.array(list(self.cfa)).reshape(2, 2)
+        large = np.kron(np.arange(4).reshape(2, 2), np.ones((self.size, self.size), int))
+        return "".join(np.roll(bayer.ravel()[large], self.start, (0, 1)).ravel())
+
     def after(self, rows: int, columns: int) -> "Filters":
         """Those seen after cropping that many rows and columns off the top and left."""
         starts = [(own - cut) % self.size for own, cut in zip(self.start, (rows, columns))]
@@ -69,21 +76,35 @@ def remosaicked(mosaic: np.ndarray, own: Filters, gains: np.ndarray) -> tuple[np
     """The Bayer mosaic of full size, and its pattern.
 
     A pixel that has the colour wanted stays as it is. Another has the local mean of the colour wanted, and
-    the detail that it saw itself, as grey has it: exact where the picture is flat or grey and a ramp.
+    the detail that it saw itself, as grey has it: exact where the picture is flat or grey and a ramp. Beyond
+    its borders the picture goes on straight.
 
     Args:
         mosaic: (H, W), linear.
         own: its filters.
         gains: (3,) of R, G, B that balance it.
     """
-    cfa = shifted(own.cfa, *own.start)
-    out, margin = np.empty_like(mosaic), 2 * own.size
+    cfa, period = shifted(own.cfa, *own.start), 2 * own.size
+    out = np.empty_like(mosaic)
+    wide = _extended(_extended(mosaic, period, 0), period, 1)  # by a period: no phase changes
+    down, across = ((n - before) // 2 for n, before in zip(wide.shape, mosaic.shape))
     for top in range(0, mosaic.shape[0], _STRIP):
-        first = max(0, top - margin)
-        part = mosaic[first : top + _STRIP + margin]
+        first = max(0, top + down - period)
+        part = wide[first : top + down + _STRIP + period]
         made = _remosaicked(part, own.after(first, 0), shifted(cfa, first, 0), gains)
-        out[top : top + _STRIP] = made[top - first :][:_STRIP]
+        inner = made[top + down - first :][:_STRIP, across : across + mosaic.shape[1]]
+        out[top : top + _STRIP] = inner[: mosaic.shape[0] - top]
     return out, cfa
+
+
+def _extended(mosaic: np.ndarray, period: int, axis: int) -> np.ndarray:
+    """The mosaic, a period longer at both ends of an axis, where each pixel goes on as it rose over the last
+    period; as it is where it is shorter than two."""
+    if mosaic.shape[axis] < 2 * period:
+        return mosaic
+    first, second = np.split(mosaic.take(range(2 * period), axis), 2, axis)
+    before, last = np.split(mosaic.take(range(-2 * period, 0), axis), 2, axis)
+    return np.concatenate([2 * first - second, mosaic, 2 * last - before], axis)
 
 
 def _remosaicked(mosaic: np.ndarray, own: Filters, cfa: str, gains: np.ndarray) -> np.ndarray:

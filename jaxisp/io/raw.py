@@ -109,11 +109,14 @@ class Raw:
         """(H, W) float32 gain of `opcodes_2` and `opcodes_3` at every pixel of `mosaic`, or None."""
         if not (self.opcodes_2 or self.opcodes_3):
             return None
-        top, left, bottom, right = self.active_area
-        y, x, height, width = self.crop
-        cfa = shifted(self.cfa, -y, -x)  # of the active area
-        gain = shading_gain(self.opcodes_2, (bottom - top, right - left), self.opcodes_3, cfa)
-        return gain[y : y + height, x : x + width]
+        return _shading(self, shifted(self.cfa, -self.crop[0], -self.crop[1]))
+
+
+def _shading(raw: Raw, cell: str) -> np.ndarray:
+    """Gain of every pixel of the mosaic; `cell` is the pattern of the active area."""
+    top, left, bottom, right = raw.active_area
+    gain = shading_gain(raw.opcodes_2, (bottom - top, right - left), raw.opcodes_3, cell)
+    return _cut(gain, raw.crop)
 
 
 @np.errstate(all="ignore")  # a damaged file's numbers may overflow: what comes of them is checked
@@ -224,24 +227,39 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: 
 
 
 def _made_bayer(raw: Raw, filters: Filters, quad: str, tell: dng_color.Tell) -> Raw:
-    """A picture whose `filters`, those of its active area, cover several pixels each, as a Bayer mosaic."""
-    own, n = filters.after(*raw.crop[:2]), filters.size
-    before, after = (
+    """A picture whose `filters`, those of its active area, cover several pixels each, as a Bayer mosaic.
+
+    Shading is corrected before: pixels of a filter, and of its neighbours, are compared. GainMaps for single
+    pixels of a filter stay corrected; of the others the mosaic keeps the shading, as other files do.
+    """
+    n, crop = filters.size, raw.crop[:2]
+    own = filters.after(*crop)._replace(cfa=raw.cfa)  # which a description may state otherwise
+    filters = own.after(-crop[0], -crop[1])
+    kept = tuple(
         tuple(o for o in opcodes if not isinstance(o, GainMap) or o.pitch == (1, 1))
         for opcodes in (raw.opcodes_2, raw.opcodes_3)
     )
-    if len(before + after) < len(raw.opcodes_2 + raw.opcodes_3):
-        tell("its GainMaps for single pixels of a filter are not applied")
-    raw = replace(raw, opcodes_2=before, opcodes_3=after)
+    shaded = raw.opcodes_2 or raw.opcodes_3
+    gain = _shading(raw, filters.cell) if shaded else np.float32(1)
+    corrected = replace(raw, mosaic=raw.mosaic * gain, opcodes_2=kept[0], opcodes_3=kept[1])
     if quad == "remosaic":
         gains = np.ones(3) if raw.white_balanced else raw.white_balance
-        mosaic, cfa = remosaicked(raw.mosaic, own, gains)
+        mosaic, cfa = remosaicked(corrected.mosaic, own, gains)
         tell(f"its filters cover {n} x {n} pixels: made a Bayer mosaic of full size")
-        return replace(raw, mosaic=mosaic, cfa=cfa)
+        made = replace(corrected, mosaic=mosaic, cfa=cfa)
+    else:
+        made = _binned(corrected, filters)
+        tell(f"its filters cover {n} x {n} pixels: their means are taken")
+    # as if this mosaic were the file's: what is corrected of its shading is corrected later
+    return made if made.shading is None else replace(made, mosaic=made.mosaic / made.shading)
+
+
+def _binned(raw: Raw, filters: Filters) -> Raw:
+    """The mean of each filter."""
+    own, n = filters.after(*raw.crop[:2]), filters.size
     mosaic = binned(raw.mosaic, own)
     if min(mosaic.shape) < 2:
         raise InputError(f"{raw.path}: has fewer than 2 x 2 filters of {n} x {n} pixels")
-    tell(f"its filters cover {n} x {n} pixels: their means are taken")
     top, left, bottom, right = raw.active_area
     height, width = (bottom - top - filters.start[0]) // n, (right - left - filters.start[1]) // n
     first = [(cut + new - old) // n for cut, new, old in zip(raw.crop, own.start, filters.start)]
@@ -249,11 +267,12 @@ def _made_bayer(raw: Raw, filters: Filters, quad: str, tell: dng_color.Tell) -> 
     return replace(
         raw,
         mosaic=mosaic,
+        cfa=own.cfa,
         active_area=(top // n, left // n, top // n + height, left // n + width),
         crop=(*first, *mosaic.shape),
         noise_profile=None if noise is None else noise / (n * n, n),
-        opcodes_2=tuple(reduced(o, filters) for o in before),
-        opcodes_3=tuple(reduced(o, filters) for o in after),
+        opcodes_2=tuple(reduced(o, filters) for o in raw.opcodes_2),
+        opcodes_3=tuple(reduced(o, filters) for o in raw.opcodes_3),
     )
 
 

@@ -17,8 +17,7 @@ SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259
 MAKE, MODEL, STRIP_OFFSETS, ORIENTATION, SAMPLES, STRIP_ROWS, STRIP_COUNTS = 271, 272, 273, 274, 277, 278, 279
 TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT = 322, 323, 324, 325, 339
 CFA_DIM, CFA_PATTERN, EXPOSURE_TIME, EXIF, ISO = 33421, 33422, 33434, 34665, 34855
-SENSITIVITY_TYPE, STANDARD_OUTPUT_SENSITIVITY = 34864, 34865
-RECOMMENDED_EXPOSURE_INDEX, ISO_SPEED = 34866, 34867
+SENSITIVITIES = 34864, 34865, 34866, 34867
 DNG_VERSION, BACKWARD_VERSION, PLANE_COLOR, CFA_LAYOUT, LINEARIZATION = 50706, 50707, 50710, 50711, 50712
 BLACK_DIM, BLACK, BLACK_DELTA_H, BLACK_DELTA_V, WHITE = 50713, 50714, 50715, 50716, 50717
 DEFAULT_SCALE, CROP_ORIGIN, CROP_SIZE, USER_CROP = 50718, 50719, 50720, 51125
@@ -29,9 +28,13 @@ ANALOG_BALANCE, NEUTRAL, WHITE_XY, BASELINE_EXPOSURE, EXPOSURE_OFFSET = 50727, 5
 ACTIVE_AREA, SUB_TILE, ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50829, 50974, 50975, 52547
 COLORIMETRIC_REFERENCE, OPCODES_1, OPCODES_2, OPCODES_3, NOISE_PROFILE = 50879, 51008, 51009, 51022, 51041
 
+GREEN_SPLIT, LINEAR_LIMIT, SHADOW_SCALE, BLACK_RENDER, DYNAMIC_RANGE = 50733, 50734, 50739, 51110, 52551
+BEST_SCALE = 50780
+
 STATED = {
-    50831: "AsShotICCProfile", 50833: "CurrentICCProfile",
-    50938: "ProfileHueSatMap", 50940: "ProfileToneCurve", 50982: "ProfileLookTable",
+    50830: "MaskedAreas", 50831: "AsShotICCProfile", 50833: "CurrentICCProfile",
+    50938: "ProfileHueSatMap", 50939: "ProfileHueSatMap", 52537: "ProfileHueSatMap",
+    50940: "ProfileToneCurve", 50982: "ProfileLookTable",
     52525: "ProfileGainTableMap", 52543: "RGBTables", 52544: "ProfileGainTableMap2",
 }  # fmt: skip
 """What changes the look of a picture and is never applied: its value is not read, it is True where stated."""
@@ -39,16 +42,17 @@ STATED = {
 _TEXT = {MAKE, MODEL, CALIBRATION_SIGNATURE, PROFILE_SIGNATURE}
 _BYTES = {
     CFA_PATTERN, PLANE_COLOR, *ILLUMINANT_DATA, OPCODES_1, OPCODES_2, OPCODES_3, DNG_VERSION,
-    BACKWARD_VERSION,
+    BACKWARD_VERSION, DYNAMIC_RANGE,
 }  # fmt: skip
 _WANTED = {
     SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, STRIP_OFFSETS, ORIENTATION, SAMPLES, STRIP_ROWS,
     STRIP_COUNTS, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS, TILE_COUNTS, SAMPLE_FORMAT, CFA_DIM, EXPOSURE_TIME,
-    EXIF, ISO, SENSITIVITY_TYPE, STANDARD_OUTPUT_SENSITIVITY, RECOMMENDED_EXPOSURE_INDEX, ISO_SPEED,
+    EXIF, ISO, *SENSITIVITIES,
     CFA_LAYOUT, LINEARIZATION, BLACK_DIM, BLACK, BLACK_DELTA_H, BLACK_DELTA_V, WHITE, DEFAULT_SCALE,
     CROP_ORIGIN, CROP_SIZE, USER_CROP, *COLOR_MATRICES, *CALIBRATIONS, *FORWARDS, *ILLUMINANTS,
     ANALOG_BALANCE, NEUTRAL, WHITE_XY, BASELINE_EXPOSURE, EXPOSURE_OFFSET, ACTIVE_AREA, SUB_TILE,
-    ROW_INTERLEAVE, COLUMN_INTERLEAVE, COLORIMETRIC_REFERENCE, NOISE_PROFILE, *STATED, *_TEXT, *_BYTES,
+    ROW_INTERLEAVE, COLUMN_INTERLEAVE, COLORIMETRIC_REFERENCE, NOISE_PROFILE, GREEN_SPLIT,
+    LINEAR_LIMIT, SHADOW_SCALE, BLACK_RENDER, BEST_SCALE, *STATED, *_TEXT, *_BYTES,
 }  # fmt: skip
 
 _SINGLE = {
@@ -93,14 +97,10 @@ class DngTags:
             default if values is None or not values.size or not np.isfinite(values[0]) else float(values[0])
         )
 
-    def exif(self, name: str, rational: bool = False) -> float | None:
-        """A positive number of the EXIF directory, the first of several, else None."""
-        table = self.main.get(EXIF)
-        value = table.get(name) if isinstance(table, dict) else None
-        if isinstance(value, tuple):
-            ratio = rational and len(value) >= 2 and value[1]
-            value = value[0] / value[1] if ratio else next(iter(value), None)
-        return float(value) if isinstance(value, (int, float)) and value > 0 else None
+    @property
+    def exif(self) -> dict[int, Any]:
+        """The EXIF directory; rationals are numerator and denominator."""
+        return self.main.get(EXIF, {})
 
     def matrix(self, code: int) -> np.ndarray | None:
         """The value as (3, 3), where it has nine elements."""
@@ -159,13 +159,11 @@ def _value(tag: Any) -> Any:
         raise ValueError(f"{tag.count} values")
     if tag.code in STATED:
         return True
-    value = tag.value
     if tag.code in _TEXT:
-        if isinstance(value, bytes):
-            value = value.decode(errors="replace")
-        return value.rstrip("\0 ") if isinstance(value, str) else ""
+        return _text_bytes(tag)
+    value = tag.value
     if tag.code == EXIF:
-        return value if isinstance(value, dict) else {}
+        return {_code(name): own for name, own in value.items()} if isinstance(value, dict) else {}
     if tag.code in _BYTES:
         return value if isinstance(value, bytes) else bytes(np.atleast_1d(value).tolist())
     if isinstance(value, bytes):
@@ -179,6 +177,20 @@ def _value(tag: Any) -> Any:
     if not (numbers.size and 0 <= numbers[0] < 1 << 32):
         raise ValueError("no whole number")
     return int(numbers[0])
+
+
+def _text_bytes(tag: Any) -> bytes:
+    """Text as it stands in the file, up to its end; tifffile trims it, and guesses how it is coded."""
+    if tag.dtype not in (1, 2, 7):
+        return b""
+    file = tag.parent.filehandle
+    file.seek(tag.valueoffset)
+    return file.read(tag.count).split(b"\0")[0]
+
+
+def _code(name: str) -> Any:
+    """The number of an EXIF tag, which tifffile calls by its name where it knows one."""
+    return int(name) if name.isdecimal() else tifffile.TIFF.EXIF_TAGS.get(name, None)
 
 
 def _rawness(tags: dict[int, Any]) -> tuple[bool, bool, int]:

@@ -46,6 +46,11 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
 
     Raises:
         InputError: no such network or option.
+
+    Example:
+        >>> import numpy as np
+        >>> make_model("fast")(np.zeros((1, 16, 16, 3), np.float32)).shape
+        (1, 16, 16, 3)
     """
     if name not in MODELS:
         raise InputError(f"no model named {name!r}; there are {', '.join(MODELS)}")
@@ -64,7 +69,7 @@ def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
     arrays, about = read_arrays(path)
     if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
         raise InputError(f"{path}: does not say which network it holds")
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
     model = make_model(about["model"], **options)
     fill(model, arrays, path)
     return model, about

@@ -31,7 +31,8 @@ def save_network(
     """
     text = json.dumps({"model": model, "options": dict(options), **about})
     with atomic_write(path) as file:
-        np.savez(file, **_named(network), **{_ABOUT: np.asarray(text)})
+        arrays: dict[str, Any] = {**_named(network), _ABOUT: np.asarray(text)}
+        np.savez(file, **arrays)
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -55,15 +55,15 @@ def denoise(model: nnx.Module, image: Any, *, tile: int | None = None, strength:
     padded = np.pad(image, ((0, -h % multiple), (0, -w % multiple), (0, 0)), mode="edge")
     share = strength
     if hasattr(model, "noise_map"):
-        found = functools.partial(_noise_map, graph, state)
-        levels = _mapped(found, padded, tile, model.map_reach, model.cell)
+        told: Any = model  # its class is the user's
+        found, cell = functools.partial(_noise_map, graph, state), told.cell
+        levels = _mapped(found, padded, tile, told.map_reach, cell)
         levels[..., :2] *= max(strength, 1.0)  # of luma and of chroma
         share = min(strength, 1.0)
 
         def apply(part: np.ndarray, y: int = 0, x: int = 0) -> Any:
             rows, columns = (
-                slice(start // model.cell, -(-(start + n) // model.cell))
-                for start, n in zip((y, x), part.shape)
+                slice(start // cell, -(-(start + n) // cell)) for start, n in zip((y, x), part.shape)
             )
             return _apply_told(graph, state, part, levels[rows, columns])
     else:

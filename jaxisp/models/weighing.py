@@ -239,4 +239,5 @@ def _means(y: jax.Array, scale: jax.Array) -> jax.Array:
 def _boxed(plane: jax.Array, axis: int) -> jax.Array:
     side = 2 * AROUND + 1
     count = plane.shape[axis] - side + 1
-    return sum(lax.slice_in_dim(plane, i, i + count, axis=axis) for i in range(side)) / side
+    shifted = [lax.slice_in_dim(plane, i, i + count, axis=axis) for i in range(side)]
+    return sum(shifted, jnp.zeros_like(shifted[0])) / side

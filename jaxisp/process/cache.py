@@ -42,6 +42,12 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
 
     Returns:
         The folder that is used, or None where it is switched off or cannot be written.
+
+    Example:
+        >>> import jaxisp
+        >>> folder = jaxisp.keep_compiled()
+        >>> folder is None or folder.is_dir()
+        True
     """
     # XLA reports the features of each program that it loads as errors, which they are not
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

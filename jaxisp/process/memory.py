@@ -23,6 +23,11 @@ def keep_freed() -> bool:
 
     Returns:
         Whether it took effect: False without glibc (macOS, Windows, musl), where nothing is changed.
+
+    Example:
+        >>> import jaxisp
+        >>> jaxisp.keep_freed() in (True, False)
+        True
     """
     if platform.libc_ver()[0] != "glibc":
         return False

@@ -38,6 +38,10 @@ def scene(
 
     Raises:
         ValueError: no such photograph, or it has fewer pixels than wanted.
+
+    Example:
+        >>> scene("coffee", (40, 60)).shape
+        (40, 60, 3)
     """
     height, width = (size, size) if isinstance(size, int) else size
     linear = photograph(name)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.arrays.safe_math import straight_through
+from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import Mosaic
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
@@ -100,25 +101,29 @@ class DefectCorrection:
 
 
 @register
-def defect_correction(params: DefectCorrection, image: Mosaic) -> Mosaic:
+def defect_correction(params: DefectCorrection, image: Mosaic, *, cfa: Bayer = "RGGB") -> Mosaic:
     """Replace photosites that stand out among their neighbours of the same colour.
 
     `y = m where |x - m| > threshold else x`, m the median of the 3x3 same-colour photosites two pixels
-    apart, the photosite itself included; the two greens are kept apart, so any Bayer pattern will do, but
-    not X-Trans.
+    apart, the photosite itself included; the two greens are kept apart, so that any Bayer pattern does.
 
     Args:
         params: threshold, in the unit of the image.
         image: (H, W) linear light, any range.
+        cfa: the Bayer pattern, row-major from the top-left.
 
     Returns:
         (H, W) linear light. Borders are reflected, which keeps the phase of the pattern.
+
+    Raises:
+        ValueError: cfa is not a Bayer pattern: in X-Trans the same colour is not two pixels away.
 
     Gradient: surrogate for the choice (a logistic gate 5 % of the threshold wide); that of the median is
     exact: it goes to the neighbour that is the median, shared among equals.
 
     Source: Jaroensri et al. 2019, section 3; Paeth 1990 and Smith 1996 (median of 9 by comparisons).
     """
+    check_bayer(cfa)
     middle = median_plane(image, "3x3", 2)
     excess = jnp.abs(image - middle) - params.threshold
     soft = jax.nn.sigmoid(excess / (0.05 * params.threshold + 1e-4))

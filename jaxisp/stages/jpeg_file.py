@@ -53,10 +53,11 @@ def jpeg_file(
     subsampling: Sampling = "4:2:0",
     components: Components = "YCbCr",
     converts: bool = True,
+    in_14_bits: bool = True,
 ) -> EncodedRGB:
     """JPEG with a table for each component, of Y'CbCr or of RGB, in the colour space of the file.
 
-    The picture is converted to the file's colour space as littleCMS does it, rounded to 8 bits there, coded
+    The picture is converted to the file's colour space, rounded to 8 bits there, coded
     and decoded as libjpeg does it (`q * round(c / q)`, half away from zero), converted back to sRGB, cut to
     its gamut and rounded.
 
@@ -66,6 +67,7 @@ def jpeg_file(
         subsampling: "4:4:4", "4:2:2" or "4:2:0": of the second and the third component.
         components: "YCbCr", or "RGB" for components as they are.
         converts: whether the file has a colour space of its own; the parameters say nothing of it if not.
+        in_14_bits: whether light and matrices were of 14 bits, as littleCMS has them, or exact.
 
     Returns:
         (H, W, 3) in [0, 1], multiples of 1/255; NaN at a pixel that holds one, which is coded as black.
@@ -90,7 +92,8 @@ def jpeg_file(
     curve = jnp.asarray(params.curve, exact)
     codes = 255 * given
     if converts:
-        light = _in_14_bits(apply_matrix(_in_14_bits(params.to_file), _in_14_bits(srgb_eotf(given))))
+        held = _in_14_bits if in_14_bits else lambda x: x
+        light = held(apply_matrix(held(params.to_file), held(srgb_eotf(given))))
         # exact where a code gives way to the next, as half codes are nodes
         codes = jnp.interp(clip(light, 0, 1), curve, jnp.arange(511, dtype=exact)) / 2
     red, green, blue = planes(materialize(round_through(codes)))

@@ -1,6 +1,7 @@
 """What a denoiser is to give: the clean photograph, or what the same camera would show without noise."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 from jax.sharding import Mesh
@@ -12,7 +13,7 @@ from jaxisp.recipe import Recipe
 TARGETS = ("photo", "camera")
 _OF_NOISE = ("noise", "denoise", "file")
 
-Pairs = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+Pairs = Callable[[jax.Array, Any], tuple[jax.Array, jax.Array]]
 """`(clean, indices) -> (noisy, target)`."""
 
 

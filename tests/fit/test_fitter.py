@@ -16,6 +16,7 @@ from jaxisp.errors import InputError
 from jaxisp.fit import fit_examples, model
 from jaxisp.fit.journal import alone
 from jaxisp.fit.report import parameter_rows, write_report
+from jaxisp.fit.seen import unseen
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, sharing
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
@@ -50,6 +51,7 @@ def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
     developed = develop(pair.raw, Recipe.load(tmp_path / "camera.toml"))
     rendered = orient(result.pairs[0].render, pair.raw.orientation)
     assert psnr(developed[8:-8, 8:-8], rendered[8:-8, 8:-8]) > 35  # only the sub-pixel shift differs
+    assert unseen(pair.raw, Recipe.load(tmp_path / "camera.toml")) == []
 
 
 def test_figures_are_of_disjoint_tiles(folder, result):
@@ -251,7 +253,7 @@ def test_unknown_choices_are_refused(own):
         fit_examples([own[1]], median="7x7")
 
 
-@pytest.mark.parametrize("option", ["fixed", "free", "per_image"])
+@pytest.mark.parametrize("option", ["freeze", "free", "per_image"])
 def test_a_name_that_is_misspelt_is_refused_before_anything_is_read(option):
     def load():
         raise AssertionError("it was read")
@@ -271,7 +273,7 @@ def test_what_is_fixed_is_so_beside_what_is_anyway():
     assert flags["denoise_encoding"].gamma == FIXED, "it is by itself"
     assert flags["geometric_distortion"].k2 == flags["bilateral"].luma_sigma_space == CAMERA
     assert flags["exposure"].exposure_ev == IMAGE
-    with pytest.raises(InputError, match=r"saturation\.amount: is fixed, and free or per image"):
+    with pytest.raises(InputError, match=r"saturation\.amount: is frozen, and free or per image"):
         sharing(start, per_image=["colour"], fixed=["saturation"])
 
 
@@ -338,6 +340,9 @@ def test_what_no_encoder_models_is_noted(folder):
     odd = dataclasses.replace(given, jpeg=dataclasses.replace(given.jpeg, subsampling="4:1:1"))
     assert not any("encoder" in note for note in prepare(given).notes)
     assert any("JPEG encoder did is not modelled: its chroma sampling 4:1:1" in n for n in prepare(odd).notes)
+    raw = dataclasses.replace(given.raw, notes=("its A is not applied", "its B is not applied"))
+    stated = prepare(dataclasses.replace(given, raw=raw)).notes
+    assert stated == ("RAW: its A is not applied; its B is not applied",)
 
 
 @pytest.mark.slow

@@ -154,6 +154,8 @@ def test_the_command_says_what_is_left_and_warns(capsys):
     assert capsys.readouterr().err == "jaxisp: e: left out: of two scenes\n"
     _warn(changed(pairs=four | {"encoder_not_modelled": [{"name": "a", "reason": "it is odd"}]}))
     assert capsys.readouterr().err == "jaxisp: a: its JPEG encoder is not modelled: it is odd\n"
+    _warn(changed(pairs=four | {"raw_notes": [{"name": "a", "notes": ["it is odd", "it is old"]}]}))
+    assert capsys.readouterr().err == "jaxisp: a: RAW: it is odd; it is old\n"
 
 
 def test_the_command_says_what_an_unknown_gap_is_and_what_to_measure(capsys):
@@ -177,6 +179,8 @@ def test_the_page_says_what_was_done_to_pairs():
     odd = {"encoder_not_modelled": [{"name": "a", "reason": "its sampling is odd"}]}
     text = shown(changed(pairs=REPORT["pairs"] | odd))
     assert "JPEG encoder not modelled" in text and "a: its sampling is odd" in text
+    text = shown(changed(pairs=REPORT["pairs"] | {"raw_notes": [{"name": "a", "notes": ["odd", "old"]}]}))
+    assert "about the RAW files" in text and "a: odd; old" in text
 
 
 def test_what_would_show_the_rest_is_said():

@@ -250,4 +250,4 @@ def test_colour_tags_of_a_tiff(tmp_path):
         if fine:
             np.testing.assert_array_equal(read_image(path), PIXELS.astype(np.float32) / 255)
         else:
-            refused(path, "other primaries than sRGB's")
+            refused(path, "primaries or a white other than sRGB's")

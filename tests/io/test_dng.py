@@ -18,10 +18,10 @@ from jaxisp.io.calibration import (
     camera_to_srgb_d65,
     mixing_weights,
     neutral_of,
-    spectrum_xy,
     temperature_and_tint,
     white_xy,
 )
+from jaxisp.io.observer import observer, spectrum_xy
 from jaxisp.io.opcodes import (
     FixVignetteRadial,
     GainMap,
@@ -139,12 +139,42 @@ def test_temperature_and_tint(xy):
     assert got[1] == pytest.approx(tint, abs=3e-4)
 
 
-@pytest.mark.parametrize("name", ["A", "D65", "FL2", "LED-B3"])
+OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+
+
+@pytest.mark.parametrize("name", ["A", "D65", "FL2", "FL11", "FL12", "FL3.15", "LED-B3", "HP1"])
 def test_chromaticity_of_a_spectrum(name):
-    """Of the CIE's own spectra, in steps of 5 nm."""
+    """Of the CIE's own spectra, in steps of 5 nm: to the four digits that it states, lamps of lines too."""
     power = colour.SDS_ILLUMINANTS[name].copy().align(colour.SpectralShape(380, 780, 5))
     xy = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"][name]
-    np.testing.assert_allclose(spectrum_xy(380.0, 5.0, power.values), xy, atol=0.003)
+    np.testing.assert_allclose(spectrum_xy(380.0, 5.0, power.values), xy, atol=1e-4)
+
+
+@pytest.mark.parametrize("nm", [430, 467, 503, 546, 589, 633, 671])
+def test_chromaticity_of_one_line(nm):
+    """In steps of 1 nm, and spread over 4 nm in steps of 2."""
+    seen = OBSERVER[nm]
+    np.testing.assert_allclose(
+        spectrum_xy(nm - 3.0, 1.0, np.eye(1, 7, 3)[0]), seen[:2] / seen.sum(), atol=1e-4
+    )
+    seen = 0.5 * OBSERVER[nm - 2] + OBSERVER[nm] + 0.5 * OBSERVER[nm + 2]
+    power = np.array([0, 0.5, 1, 0.5, 0])
+    np.testing.assert_allclose(spectrum_xy(nm - 4.0, 2.0, power), seen[:2] / seen.sum(), atol=1e-4)
+
+
+def test_the_observer_is_the_cies():
+    nm = OBSERVER.wavelengths
+    np.testing.assert_allclose(observer(nm), OBSERVER.values.T, atol=1.1e-3)
+    np.testing.assert_allclose(observer(nm[::5]), OBSERVER.values[::5].T, atol=1e-6)
+    assert not observer(np.array([359.0, 831.0])).any()
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "count"), [(300, 20, 40), (400, 10, 31), (1e9, 1e6, 3), (500, 1e-6, 9)]
+)
+def test_any_spectrum_has_a_chromaticity(first, step, count):
+    """A level one is that of equal energy, held beyond its ends."""
+    np.testing.assert_allclose(spectrum_xy(first, step, np.ones(count)), [1 / 3, 1 / 3], atol=1e-4)
 
 
 def test_weights_of_three_illuminants():
@@ -158,7 +188,8 @@ def test_weights_of_three_illuminants():
     np.testing.assert_allclose(between, [0, 0.7702, 0.2298], atol=5e-3)
     turned = mixing_weights((lights[2], lights[0], lights[1]), np.array([0.3457, 0.3585]))
     np.testing.assert_allclose(turned, between[[2, 0, 1]], rtol=1e-9)
-    np.testing.assert_array_equal(mixing_weights((17, 0, 21), np.array([0.3, 0.3])), [1, 0, 0])
+    np.testing.assert_array_equal(mixing_weights((17, 0, 21), np.array([0.3, 0.3])), [0, 0, 1])
+    np.testing.assert_array_equal(mixing_weights((0, 99, 21), np.array([0.3, 0.3])), [1, 0, 0])
 
 
 def _calibration(*illuminants, matrices=(XYZ_TO_CAMERA,), forward=None, balance=(1.0, 1.0, 1.0)):

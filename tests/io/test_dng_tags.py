@@ -65,7 +65,7 @@ def test_illuminant_data_stands_for_the_light_that_has_no_code(tmp_path, data):
     got = in_light(tmp_path / "b.dng", (50778, 3, 1, 255), (50779, 3, 1, 255), *lights)
     np.testing.assert_allclose(got.white_balance, want.white_balance, rtol=5e-3)
     np.testing.assert_allclose(got.camera_to_srgb, want.camera_to_srgb, atol=0.01)
-    assert got.notes == want.notes and len(got.notes) == 1 and "AsShotNeutral" in got.notes[0]
+    assert got.notes == want.notes == ()  # an AsShotNeutral of zeros is how phones leave it to the other tag
 
 
 def test_illuminant_data_is_in_the_order_of_the_file():
@@ -96,6 +96,34 @@ def test_the_third_illuminant_has_its_matrices(tmp_path):
     np.testing.assert_allclose(cold.xyz_to_camera, XYZ_TO_CAMERA, atol=2e-3)
 
 
+@pytest.mark.parametrize("unknown", [0, 1, 2])
+def test_of_three_illuminants_the_two_that_are_known_count(tmp_path, unknown):
+    """As if the third and its matrix were not there; of two, or where one is known, the first alone."""
+    third = XYZ_TO_CAMERA @ np.diag([1.1, 1, 0.8])
+    matrices, codes = [WARM, XYZ_TO_CAMERA, third], [17, 21, 23]
+    others = [i for i in range(3) if i != unknown]
+    extra = [(code, 3, 1, 0 if i == unknown else codes[i]) for i, code in enumerate((50778, 50779, 52529))]
+    got = in_light(tmp_path / "a.dng", *extra, matrix(52531, third), xy=(0.37, 0.37))
+    known = [(code, 3, 1, codes[i]) for code, i in zip((50778, 50779), others)]
+    two = [matrix(code, matrices[i]) for code, i in zip((50721, 50722), others)]
+    want = in_light(tmp_path / "b.dng", *known, *two, xy=(0.37, 0.37))
+    np.testing.assert_allclose(got.xyz_to_camera, want.xyz_to_camera, atol=1e-9)
+    np.testing.assert_allclose(got.white_balance, want.white_balance)
+    assert got.notes == (f"the light of its ColorMatrix{unknown + 1} is unknown: the others are used",)
+    alone = in_light(tmp_path / "c.dng", extra[unknown], matrix(52531, third), (50778, 3, 1, 0))
+    assert "ColorMatrix1 alone is used" in alone.notes[0]
+    np.testing.assert_allclose(alone.xyz_to_camera, WARM, atol=1e-6)
+
+
+def test_a_white_balance_that_is_odd_is_told_where_another_counts(tmp_path):
+    white = [(50728, 5, 3, (1, 10**6, 1, 1, 1, 1)), (50729, 5, 2, rationals(D65))]
+    raw = read_raw(dng(tmp_path / "a.dng", extra_tags=white))
+    assert len(raw.notes) == 1 and "AsShotNeutral" in raw.notes[0]
+    both = [(50728, 5, 3, (0, 0) * 3), (50729, 5, 2, (0, 0) * 2)]
+    notes = read_raw(dng(tmp_path / "b.dng", extra_tags=both)).notes
+    assert len(notes) == 1 and "AsShotWhiteXY gives no white balance" in notes[0]
+
+
 @pytest.mark.parametrize("one", [0, 1], ids=["ForwardMatrix1", "ForwardMatrix2"])
 def test_a_forward_matrix_alone_is_used_in_any_light(tmp_path, one):
     forward = colour.RGB_COLOURSPACES["ProPhoto RGB"].matrix_RGB_to_XYZ
@@ -119,7 +147,12 @@ def test_a_camera_calibration_counts_for_its_own_profile(tmp_path):
     plain, applied = read(), read(unit)
     assert np.abs(plain.camera_to_srgb - applied.camera_to_srgb).max() > 0.01
     np.testing.assert_array_equal(signed("com.adobe", "com.adobe").camera_to_srgb, applied.camera_to_srgb)
-    for other in (signed("com.adobe", "somebody.else"), read(unit, (50931, 2, 0, "com.adobe"))):
+    for same in ((b"com.adobe\0\0", b"com.adobe\0"), ("", ""), (b"\x83\x81\x81", b"\x83\x81\x81")):
+        np.testing.assert_array_equal(signed(*same).camera_to_srgb, applied.camera_to_srgb)
+    # exactly, as they stand in the file, whatever their coding
+    pairs = [("com.adobe", "somebody.else"), ("com.adobe ", "com.adobe"), (" com.adobe", "com.adobe"),
+             ("com.adobe", "Com.Adobe"), (b"\x83\x81\x81", b"\x83\x81\x8d")]  # fmt: skip
+    for other in (*(signed(*pair) for pair in pairs), read(unit, (50931, 2, 0, "com.adobe"))):
         np.testing.assert_array_equal(other.camera_to_srgb, plain.camera_to_srgb)
         assert "CameraCalibration1 is for another profile" in other.notes[0]
 
@@ -183,6 +216,16 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((50879, 3, 1, 1), "ColorimetricReference", WHITE),
         ((50727, 5, 3, (0, 1) * 3), "AnalogBalance", WHITE),
         ((50728, 5, 3, (0, 1) * 3), "AsShotNeutral", WHITE),
+        ((50733, 4, 1, 100), "its BayerGreenSplit of 100 is not applied", WHITE),
+        ((50734, 5, 1, (9, 10)), "its LinearResponseLimit of 0.9 is not applied", WHITE),
+        ((50739, 5, 1, (2, 1)), "its ShadowScale of 2 is not applied", WHITE),
+        ((50780, 5, 1, (3, 2)), "its BestQualityScale of 1.5 is not applied", WHITE),
+        ((51110, 4, 1, 0), "its DefaultBlackRender of 0 is not applied", WHITE),
+        ((50830, 4, 4, (0, 0, 52, 2)), "its MaskedAreas is not applied", WHITE),
+        ((50939, 11, 3, (0.0, 1.0, 1.0)), "its ProfileHueSatMap is not applied", WHITE),
+        ((52537, 11, 3, (0.0, 1.0, 1.0)), "its ProfileHueSatMap is not applied", WHITE),
+        ((52551, 7, 8, struct.pack("<2Hf", 1, 1, 4)), "its ProfileDynamicRange (HDR) is not applied", WHITE),
+        ((52551, 7, 3, b"\1\0\1"), "its ProfileDynamicRange (HDR) is not applied", WHITE),
         ((50721, 10, 9, (1, 1) * 9), "ColorMatrix cannot be inverted", WHITE),
     ],
 )  # fmt: skip
@@ -212,8 +255,18 @@ def test_colours_that_are_not_stated_are_told(tmp_path):
 def test_a_plain_file_has_no_notes(tmp_path):
     extra = [(50717, 4, 1, 1024), (51125, 5, 4, (0, 1, 0, 1, 1, 1, 1, 1)), (50730, 10, 1, (0, 0))]
     assert read_raw(dng(tmp_path / "a.dng")).notes == ()
+    extra += [
+        (50733, 4, 1, 0), (50734, 5, 1, (1, 1)), (50739, 5, 1, (1, 1)), (51110, 4, 1, 1),
+        (50780, 5, 1, (1, 1)), (52551, 7, 8, struct.pack("<2Hf", 1, 0, 1)),
+    ]  # fmt: skip
     raw = read_raw(dng(tmp_path / "b.dng", extra_tags=extra))
     assert (raw.notes, raw.baseline_exposure) == ((), 0)
+
+
+def test_all_that_is_not_applied_is_one_line(tmp_path):
+    tags = [(50938, 11, 3, (0.0, 1.0, 1.0)), (50939, 11, 3, (0.0, 1.0, 1.0)), (50739, 5, 1, (2, 1))]
+    raw = read_raw(dng(tmp_path / "a.dng", extra_tags=tags))
+    assert raw.notes == ("its ProfileHueSatMap, ShadowScale of 2 are not applied",)
 
 
 @pytest.mark.parametrize(
@@ -438,7 +491,7 @@ def test_standard_error_is_open_again_after_many_threads(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("extra", "iso"),
     [
-        ([], 65535),
+        ([], None),
         ([(34864, 3, 1, 2), (34866, 4, 1, 102400)], 102400),
         ([(34864, 3, 1, 1), (34865, 4, 1, 204800), (34866, 4, 1, 102400)], 204800),
         ([(34864, 3, 1, 3), (34867, 4, 1, 409600)], 409600),
@@ -451,21 +504,78 @@ def test_speed_above_what_its_tag_can_say(tmp_path, extra, iso):
     assert read_raw(dng(tmp_path / "a.dng", extra_tags=[(34855, 3, 1, 65535), *extra])).iso == iso
 
 
-def test_speeds_of_the_exif_directory():
-    """Of several values the first; that is no ratio."""
-    from jaxisp.io.dng_facts import header
+ISO, TYPE, OUTPUT, INDEX, SPEED, SECONDS = 34855, 34864, 34865, 34866, 34867, 33434
 
-    def iso(**exif):
-        return header(tag.DngTags({tag.EXIF: exif}, {}))["iso"]
 
-    assert iso(ISOSpeedRatings=(100, 200)) == 100 and iso(ISOSpeedRatings=(0,)) is None
-    many = {"SensitivityType": 2, "RecommendedExposureIndex": 102400}
-    assert iso(ISOSpeedRatings=65535, **many) == 102400 and iso(ISOSpeedRatings=(800, 0), **many) == 800
-    assert header(tag.DngTags({tag.EXIF: {"ExposureTime": (1, 50)}}, {}))["exposure_time"] == 0.02
+def with_exif(path, *tags):
+    """A DNG whose EXIF directory holds these tags (code, type, count, value of 4 bytes or 8), and whose first
+    directory states no speed and no time."""
+    data, extra = bytearray(dng(path, extra_tags=[(34660, 4, 1, 1)]).read_bytes()), b""
+    start = len(data)
+    for code, kind, other in ((ISO, 3, 34850), (SECONDS, 5, 33437), (34660, 4, 34665)):
+        at = data.index(struct.pack("<HHL", code, kind, 1))
+        data[at : at + 2] = struct.pack("<H", other)
+    data[at + 8 : at + 12] = struct.pack("<L", start)
+    table, behind = struct.pack("<H", len(tags)), start + 2 + 12 * len(tags) + 4
+    for code, kind, count, value in sorted(tags):
+        if len(value) > 4:
+            table += struct.pack("<HHLL", code, kind, count, behind + len(extra))
+            extra += value
+        else:
+            table += struct.pack("<HHL", code, kind, count) + value.ljust(4, b"\0")
+    path.write_bytes(bytes(data) + table + bytes(4) + extra)
+    return path
+
+
+def short(*values: int) -> bytes:
+    return struct.pack(f"<{len(values)}H", *values)
+
+
+def long(*values: int) -> bytes:
+    return struct.pack(f"<{len(values)}L", *values)
+
+
+@pytest.mark.parametrize(
+    ("tags", "iso"),
+    [
+        ([(ISO, 3, 1, short(400))], 400),
+        ([(ISO, 3, 2, short(0, 800))], 800),
+        ([(ISO, 3, 2, short(100, 200))], 100),
+        ([(ISO, 3, 1, short(0))], None),
+        ([(ISO, 3, 1, short(65535))], None),
+        ([(ISO, 4, 1, long(204800))], 204800),
+        ([(ISO, 3, 1, short(65535)), (TYPE, 3, 1, short(2)), (INDEX, 4, 1, long(102400))], 102400),
+        ([(TYPE, 3, 1, short(2)), (INDEX, 4, 1, long(12800))], 12800),
+        ([(TYPE, 3, 1, short(1)), (OUTPUT, 4, 1, long(250)), (INDEX, 4, 1, long(200))], 250),
+        ([(OUTPUT, 4, 1, long(250))], 250),
+        ([(SPEED, 4, 1, long(64))], 64),
+        ([], None),
+    ],
+)
+def test_speeds_of_the_exif_directory(tmp_path, tags, iso):
+    """By the rule that pictures have."""
+    assert read_raw(with_exif(tmp_path / "a.dng", *tags)).iso == iso
+
+
+@pytest.mark.parametrize(
+    ("value", "seconds"), [((1, 50), 0.02), ((1, 0), None), ((0, 1), None), ((0, 0), None), ((30, 1), 30)]
+)
+def test_exposure_times(tmp_path, value, seconds):
+    """In EXIF and in the first directory; 1/0 is no time."""
+    assert read_raw(with_exif(tmp_path / "a.dng", (SECONDS, 5, 1, long(*value)))).exposure_time == seconds
+    path = dng(tmp_path / "b.dng", extra_tags=[(SECONDS, 5, 1, value)])
+    assert read_raw(path).exposure_time == seconds
+    below = dng(tmp_path / "c.dng", extra_tags=[(SECONDS, 10, 1, (-1, 50))])
+    assert read_raw(below).exposure_time is None
+
+
+@pytest.mark.parametrize("speed", [[(34855, 3, 2, (0, 800))], [(34855, 3, 1, 0), (34866, 4, 1, 800)]])
+def test_speeds_of_the_first_directory(tmp_path, speed):
+    assert read_raw(dng(tmp_path / "a.dng", extra_tags=speed)).iso == 800
 
 
 @pytest.mark.parametrize("iso", [100, 65535, 102400])
-@pytest.mark.parametrize("seconds", [1 / 8000, 30.5, 5000.123456])
+@pytest.mark.parametrize("seconds", [1 / 8000, 30.5, 5000.123456, 1e-8, 2.4e-10, 3e9])
 def test_what_is_written_is_read(tmp_path, iso, seconds):
     raw = read_raw(
         dng(tmp_path / "a.dng", iso=iso, exposure_time=seconds, make="Bölts & Söhne", model="相機")
@@ -475,8 +585,31 @@ def test_what_is_written_is_read(tmp_path, iso, seconds):
 
 
 @pytest.mark.parametrize(
-    "options", [{"iso": 0}, {"iso": 2**32}, {"exposure_time": 0}, {"exposure_time": 1e10}]
+    ("stated", "make"),
+    [
+        ("Größe".encode("latin-1"), "Größe"),
+        (b"\x81\x8d", "\x81\x8d"),  # no UTF-8 and not in Windows' alphabet
+        (b"  MAKER  \0\0", "MAKER"),
+        (b"MAKER\0of RAW", "MAKER"),
+    ],
 )
-def test_what_cannot_be_written_is_refused(tmp_path, options):
-    with pytest.raises(ValueError, match=next(iter(options))):
+def test_text_that_is_not_utf_8(tmp_path, stated, make):
+    """By the rule that pictures have."""
+    assert read_raw(dng(tmp_path / "a.dng", extra_tags=[(271, 2, 0, stated)])).make == make
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"iso": 0}, "ISO 0 cannot be written, expected 1 to"),
+        ({"iso": 0.5}, "ISO 0.5 cannot be written"),
+        ({"iso": 2**32}, "ISO 4.29497e"),
+        ({"exposure_time": 0}, "exposure_time = 0 s"),
+        ({"exposure_time": 1e-10}, "exposure_time = 1e-10 s"),
+        ({"exposure_time": 1e10}, "exposure_time"),
+        ({"exposure_time": float("nan")}, "exposure_time"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path, options, words):
+    with pytest.raises(ValueError, match=words):
         dng(tmp_path / "a.dng", **options)

@@ -114,6 +114,39 @@ def _swapped_profile() -> bytes:
     return data.replace("sRGB".encode("utf-16-be"), "abcd".encode("utf-16-be"))
 
 
+def test_a_profile_anywhere_before_the_pixels_in_parts():
+    """Pixels of the profile that swaps red and green, against those of the file with the profile in one part
+    where encoders write it."""
+    icc, plain = _swapped_profile(), saved(Image.fromarray(PICTURE), quality=100, subsampling=0)
+    want = decode_jpeg(
+        saved(Image.fromarray(PICTURE), quality=100, subsampling=0, icc_profile=icc), "a"
+    ).pixels
+    scan, half = plain.index(b"\xff\xda"), len(icc) // 2
+
+    def part(number: int, of: int, data: bytes) -> bytes:
+        body = b"ICC_PROFILE\0" + bytes((number, of)) + data
+        return b"\xff\xe2" + struct.pack(">H", len(body) + 2) + body
+
+    def put(at: int, *parts: bytes) -> bytes:
+        return plain[:at] + b"".join(parts) + plain[at:]
+
+    whole, halves = part(1, 1, icc), (part(1, 2, icc[:half]), part(2, 2, icc[half:]))
+    files = [put(scan, whole), put(scan, *halves), put(2, *halves[::-1]), put(2, whole, whole)]
+    files += [halves[0].join((plain[:2], plain[2:scan] + halves[1] + plain[scan:]))]
+    for data in files:
+        jpeg = decode_jpeg(data, "a")
+        assert jpeg.converted and jpeg.icc == icc
+        np.testing.assert_array_equal(jpeg.pixels, want)
+    for lacking in (
+        halves[:1],
+        halves[1:],
+        (halves[0], part(2, 3, icc[half:])),
+        (whole, part(1, 1, icc[:-1])),
+    ):
+        refused(put(2, *lacking), "a part of its colour profile is missing")
+    assert decode_jpeg(put(2, part(1, 1, b"")), "a").icc is None
+
+
 def test_srgb_profile_changes_nothing():
     icc = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     jpeg = decode_jpeg(saved(Image.fromarray(PICTURE), icc_profile=icc), "a")

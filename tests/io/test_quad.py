@@ -75,8 +75,11 @@ def test_binned(tmp_path, size, start, crop):
     first = [(s - cut) % size for s, cut in zip(start, (top, left))]
     part = active[top : top + height, left : left + width][first[0] :, first[1] :]
     rows, columns = (n // size for n in part.shape)
-    means = part[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
-    np.testing.assert_allclose(raw.mosaic, (means - 64) / (WHITE - 64), rtol=1e-5)
+    # of what the pixels show once their shading is corrected
+    gain = 1 + 2 * (np.arange(shape[0])[top : top + height][first[0] :] + 0.5)[:, None] / shape[0]
+    shown = (gain * (part - 64) / (WHITE - 64))[: rows * size, : columns * size]
+    means = shown.reshape(rows, size, columns, size).mean((1, 3))
+    np.testing.assert_allclose(raw.mosaic * raw.shading, means, rtol=1e-5)
     seen = colors(shape, own)[top:, left:][first[0] :: size, first[1] :: size][:2, :2]
     assert raw.cfa == "".join("RGB"[i] for i in seen.ravel())
     np.testing.assert_allclose(raw.noise_profile, [[1e-3 / size**2, 1e-3 / size]] * 3)
@@ -120,6 +123,59 @@ def test_remosaicked_is_exact_on_a_grey_ramp_and_keeps_what_was_measured(tmp_pat
         quad_dng(tmp_path / "b.dng", seen(0 * light + 0.3, colors(shape, own)), own), quad="remosaic"
     )
     np.testing.assert_allclose(flat.mosaic, 0.3 / GAINS[wanted], atol=1.1e-3)
+
+
+@pytest.mark.parametrize(("size", "start"), [(2, (0, 0)), (2, (1, 1)), (3, (0, 2)), (4, (3, 0))])
+@pytest.mark.parametrize("shape", [(64, 96), (37, 51)])
+def test_ramps_are_exact_up_to_the_borders(size, start, shape):
+    own = Filters("GRBG", size, start)
+    y, x = np.indices(shape)
+    light = (0.1 + 0.005 * x - 0.002 * y)[..., None] / GAINS
+    pixels = np.take_along_axis(light, colors(shape, cell("GRBG", size, start))[..., None], -1)[..., 0]
+    mosaic, cfa = remosaicked(pixels.astype(np.float32), own, GAINS)
+    np.testing.assert_allclose(mosaic, light[y, x, colors(shape, cell(cfa, 1))], atol=1e-6)
+
+
+@pytest.mark.parametrize("pitch", [1, 2, 4])
+@pytest.mark.parametrize("quad", ["bin", "remosaic"])
+def test_shading_is_corrected_before_pixels_are_compared(tmp_path, quad, pitch):
+    """A grey wall behind a steep lens is level; maps for single pixels of a filter count too."""
+    shape, own = (64, 96), cell("RGGB", 2)
+    y, x = np.indices(shape)
+    points = np.array([[1.0, 2.0, 1.5], [3.0, 1.0, 2.5]])
+    grid = [np.clip((np.arange(n) + 0.5) / n * (m - 1), 0, m - 1) for n, m in zip(shape, points.shape)]
+    down, across = (np.maximum(0, 1 - np.abs(g[:, None] - np.arange(m))) for g, m in zip(grid, points.shape))
+    gain = down @ points @ across.T
+    each = 1 + 0.1 * ((y % pitch) + 2 * (x % pitch))  # pixels of a filter under lenses of their own
+    maps = [
+        GainMap(points[..., None] * (1 + 0.1 * (i + 2 * j)), (i, j, *shape), (pitch, pitch), (0, 0), (1, 0.5))
+        for i in range(pitch)
+        for j in range(pitch)
+    ]
+    light = np.repeat((0.25 / (gain * each))[..., None], 3, -1)
+    path = quad_dng(tmp_path / "a.dng", seen(light, colors(shape, own)), own, gain_map=maps)
+    raw = read_raw(path, quad=quad)
+    shown = raw.mosaic * (1 if raw.shading is None else raw.shading)
+    assert (raw.shading is None) == (pitch > 1)
+    wanted = colors(shown.shape, cell(raw.cfa, 1))
+    np.testing.assert_allclose(shown * GAINS[wanted], 0.25, atol=4 * 3.0 / (WHITE - 64) * 1.6)
+    rms = np.sqrt(np.square(shown * GAINS[wanted] - 0.25).mean())
+    assert rms < 1.5e-3  # that of whole codes, under gains of up to 4.8
+    assert len(raw.notes) == 1
+
+
+def test_shading_of_the_demosaicked_picture(tmp_path):
+    """OpcodeList3 has a gain for each colour."""
+    shape, own = (64, 96), cell("GBRG", 3, (1, 2))
+    gains = np.array([[[2.0, 1.0, 1.5]], [[1.0, 1.5, 3.0]]])
+    y = (np.arange(shape[0]) + 0.5)[:, None, None] / shape[0]
+    full = np.broadcast_to((1 - y) * gains[0] + y * gains[1], (*shape, 3))
+    maps = [GainMap(gains, (0, 0, *shape), planes=3)]
+    path = quad_dng(tmp_path / "a.dng", seen(0.3 / full, colors(shape, own)), own, opcodes_3=maps)
+    for quad in ("bin", "remosaic"):
+        raw = read_raw(path, quad=quad)
+        wanted = colors(raw.mosaic.shape, cell(raw.cfa, 1))
+        np.testing.assert_allclose(raw.mosaic * raw.shading * GAINS[wanted], 0.3, atol=8e-3)
 
 
 def read_as_bayer(folder, pixels):

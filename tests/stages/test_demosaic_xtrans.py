@@ -72,6 +72,7 @@ def test_what_is_xtrans():
 
 BAYER_ONLY = [
     "green_imbalance",
+    "defect_correction",
     *(f"demosaic_{n}" for n in ("ahd", "bilinear", "edge_aware", "hamilton_adams")),
     *(f"demosaic_{n}" for n in ("hibbard", "malvar", "menon", "vng")),
 ]
