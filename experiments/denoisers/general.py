@@ -1,10 +1,10 @@
-"""The network that ships: its clean pictures, its training, its file.
+"""A network for all cameras: its clean pictures, its training, its file.
 
 python -m experiments.denoisers.general clean DATA --work RUNS --photos FOLDER ...
 python -m experiments.denoisers.general train --work RUNS
 python -m experiments.denoisers.general export --work RUNS
 
-Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, as those that ship.
+Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, of another run.
 """
 
 import argparse
@@ -37,8 +37,8 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 
 TRAINING: dict[str, Any] = {
     "recipe": "any-camera", "model": "weighnet", "target": "camera", "patch": 64, "batch": 4,
-    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
-    "pool": 22_528, "steps": 4_000, "lr": 3e-3, "ema": 0.998, "loss": "l1", "log_every": 50,
+    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 200,
+    "pool": 22_528, "steps": 800, "lr": 3e-3, "ema": 0.99, "loss": "l1", "log_every": 50,
 }  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("--run", default="general")
     parser.add_argument("--steps", type=int)
     parser.add_argument("--start", default="", help="weights to begin with")
-    parser.add_argument("--out", type=Path, default=Path("jaxisp/models/general.npz"))
+    parser.add_argument("--out", type=Path, default=Path("general.npz"))
     options = parser.parse_args()
     if options.what == "clean":
         clean(options.data, options.photos, options.work / "clean")

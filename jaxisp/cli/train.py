@@ -48,7 +48,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
     command.add_argument(
         "--model", metavar="NAME",
-        help="unet (default), levelnet, fast, dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
+        help="unet (default), levelnet, weighnet, fast, dncnn6, dncnn17, ffdnet, nafnet, n3net[-stripped]",
     )  # fmt: skip
     command.add_argument("-o", "--out", required=True, metavar="RUN", help="folder of the run")
     command.add_argument("--resume", action="store_true", help="continue from the last checkpoint of the run")

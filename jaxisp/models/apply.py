@@ -44,7 +44,13 @@ class Denoiser:
 
 
 def shipped_denoiser() -> tuple[Denoiser, dict[str, Any]]:
-    """The denoiser that comes with the package, and what is kept with its weights."""
+    """The denoiser that comes with the package, and what is kept with its weights.
+
+    Raises:
+        InputError: this package comes without one.
+    """
+    if not (resources.files("jaxisp.models") / SHIPPED).is_file():
+        raise InputError("no network comes with this jaxisp: train one with jaxisp train, and give --run RUN")
     with resources.as_file(resources.files("jaxisp.models") / SHIPPED) as path:
         model, about = read_network(path)
     return Denoiser(model, about["light"]), about

@@ -21,6 +21,10 @@ SEARCH, AROUND = 5, 2
 """How far non-local means look, and how much around a pixel they compare [px]."""
 FILTERS = 1 + len(BLURS) + len(WIDTHS)
 _LEAST = 0.3 / 255
+_SEEN = (
+    2 * 3 * 4 + 1 + 3
+)  # statistics of a cell: sizes, changes, least and mean of two; light; the flattest blocks'
+_SHARE = 0.01  # of the error of the map in what is trained
 _BLOCK, _FLATTEST = 8, 0.15
 TONES, _TONE = (0.08, 0.25, 0.42, 0.6, 0.8), 0.1
 """Brightnesses that the noise is estimated at, and how far from them counts."""
@@ -33,9 +37,9 @@ class WeighNet(nnx.Module):
     """Weighs ten filters at each pixel, light and colours apart: the picture itself, Gaussians of six widths,
     and non-local means of three strengths; and adds a small correction.
 
-    Two small convolutions decide. They see how far the filters are from each other in units of the noise,
-    how strong the noise is, how much it is alike from pixel to pixel, and the light. The filters have nothing
-    to learn, so that few pictures teach it.
+    Two small convolutions decide, and three of cells of 16 px estimate the noise. They see how far the
+    filters are from each other in units of the noise, how strong it is, how much it is alike from pixel to
+    pixel, and the light. The filters have nothing to learn, so that few pictures teach it.
 
     Args:
         channels: of the image: 3.
@@ -54,6 +58,10 @@ class WeighNet(nnx.Module):
 
     def __init__(self, channels: int = 3, *, features: int = 24, rngs: nnx.Rngs, dtype: Any = None) -> None:
         inputs = 2 * (FILTERS - 1) + 5
+        self.measured = nnx.List(
+            [conv(_SEEN, features, rngs=rngs, dtype=None), conv(features, features, rngs=rngs, dtype=None)]
+        )
+        self.corrected = conv(features, 2, rngs=rngs, dtype=None, init=nnx.initializers.normal(1e-3))
         self.first = conv(inputs, features, rngs=rngs, dtype=dtype)
         self.second = conv(features, features, rngs=rngs, dtype=dtype)
         self.last = conv(
@@ -62,8 +70,16 @@ class WeighNet(nnx.Module):
 
     def noise_map(self, x: jax.Array) -> jax.Array:
         """(N, ceil(H / 16), ceil(W / 16), 3): standard deviations of light and colours, and how much of the
-        light's variance is between neighbours; from the flattest blocks of the picture of that brightness."""
-        return jax.vmap(_levels)(_opponent(pad_to_multiple(x, CELL)))
+        light's variance is between neighbours. The flattest blocks of that brightness say what it is, and
+        three convolutions over cells correct it by how the picture changes from pixel to pixel there."""
+        y = _opponent(pad_to_multiple(x, CELL))
+        flattest = jax.vmap(_levels)(y)
+        z = jnp.concatenate([_statistics(y), jnp.log2(flattest[..., :2] / _LEAST) / 4, flattest[..., 2:]], -1)
+        for layer in self.measured:
+            z = nnx.relu(layer(z))
+        off = jnp.clip(self.corrected(z), -5, 5)
+        levels = jnp.maximum(flattest[..., :2] * jnp.exp2(off), _LEAST)
+        return jnp.concatenate([levels, flattest[..., 2:]], -1)
 
     def __call__(self, x: jax.Array, noise_map: jax.Array | None = None) -> jax.Array:
         """Denoise (N, H, W, 3); the noise map is estimated where it is None."""
@@ -92,7 +108,8 @@ class WeighNet(nnx.Module):
     def objective(
         self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
     ) -> jax.Array:
-        """The loss: every other picture of a batch is given its true map, the others the estimated one."""
+        """The loss: every other picture of a batch is given its true map, the others the estimated one, which
+        is to be near the true one (in octaves)."""
         found = self.noise_map(noisy)
         noise = _opponent(pad_to_multiple(noisy - target, CELL)) ** 2
         n, h, w, _ = noise.shape
@@ -100,11 +117,41 @@ class WeighNet(nnx.Module):
         true = jnp.sqrt(jnp.stack([cells[..., 0], cells[..., 1:].mean(-1)], -1))
         true = jnp.concatenate([jnp.maximum(true, _LEAST), found[..., 2:]], -1)
         given = (jnp.arange(n) % 2 == 0)[:, None, None, None]
-        return penalty(self(noisy, jnp.where(given, true, found)) - target).mean()
+        told = jnp.where(given, true, lax.stop_gradient(found))
+        wrong = jnp.abs(jnp.log2(found[..., :2] / true[..., :2])).mean()
+        return penalty(self(noisy, told) - target).mean() + _SHARE * wrong
 
 
 def _opponent(x: jax.Array) -> jax.Array:
     return x @ jnp.asarray(_TO_OPPONENT.T)
+
+
+def _statistics(y: jax.Array) -> jax.Array:
+    """(N, H / 16, W / 16, _SEEN - 3) of (N, H, W, 3) opponent colours: how much pixels differ in a cell, as
+    logarithms, at full and at half size, and its brightness."""
+    n, h, w, _ = y.shape
+    half = y.reshape(n, h // 2, 2, w // 2, 2, 3).mean((2, 4))
+    found = []
+    for picture in (y, half):
+        padded = jnp.pad(picture, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="reflect")
+        rows = padded[:, 2:] - 2 * padded[:, 1:-1] + padded[:, :-2]
+        both = (rows[:, :, 2:] - 2 * rows[:, :, 1:-1] + rows[:, :, :-2]) / 6  # Immerkaer's mask: no planes
+        down = (padded[:, 2:, 1:-1] - picture) / np.sqrt(2)
+        right = (padded[:, 1:-1, 2:] - picture) / np.sqrt(2)
+        for change in (both, down, right):
+            blocks = _log_mean(change**2, CELL * picture.shape[1] // h // 2)
+            cells = blocks.reshape(n, h // CELL, 2, w // CELL, 2, 2)
+            found += [cells.min((2, 4)), cells.mean((2, 4))]
+    bright = y[..., :1].reshape(n, h // CELL, CELL, w // CELL, CELL, 1).mean((2, 4)) / np.sqrt(3)
+    return jnp.concatenate([*found, bright], -1)
+
+
+def _log_mean(squares: jax.Array, side: int) -> jax.Array:
+    """(N, H / side, W / side, 2): logarithms of the means of light and of colours, about 0 to 2."""
+    n, h, w, _ = squares.shape
+    means = squares.reshape(n, h // side, side, w // side, side, 3).mean((2, 4))
+    parts = jnp.stack([means[..., 0], means[..., 1:].mean(-1)], -1)
+    return jnp.log2(parts / _LEAST**2 + 0.1) / 8
 
 
 def _squashed(x: jax.Array) -> jax.Array:
