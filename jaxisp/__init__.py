@@ -14,6 +14,7 @@ _HOME = {
     "Chain": "jaxisp.pipeline",
     "Gate": "jaxisp.pipeline",
     "Shuffle": "jaxisp.pipeline",
+    "Unprocessed": "jaxisp.unprocess",
     "Stage": "jaxisp.pipeline",
     "register": "jaxisp.pipeline",
     "run": "jaxisp.pipeline",
@@ -27,8 +28,8 @@ _HOME = {
     "keep_freed": "jaxisp.process.memory",
 }
 _MODULES = {
-    "camera", "data", "explore", "fit", "gap", "io", "losses", "metrics", "models", "params", "priors",
-    "recipes", "samples", "stages", "train",
+    "calibrate", "camera", "data", "explore", "fit", "gap", "interop", "io", "losses", "metrics", "models",
+    "params", "priors", "recipes", "samples", "stages", "train",
 }  # fmt: skip
 
 __all__ = [*sorted(_HOME), *sorted(_MODULES)]

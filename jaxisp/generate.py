@@ -28,6 +28,7 @@ from jaxisp.io.files import (
 )
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
+from jaxisp.mixture import Mixture
 from jaxisp.recipe import Recipe, check_photographs, check_traces
 
 BATCH_PIXELS = 2_000_000
@@ -86,14 +87,14 @@ class Work:
 
     Args:
         inputs: images and folders of images.
-        recipe: takes and gives encoded sRGB.
+        recipe: takes and gives encoded sRGB; or a mixture of such.
         count: versions of each image.
         seed: of the root key.
         start: the global index of sample 0.
     """
 
     inputs: Sequence[str | Path]
-    recipe: Recipe
+    recipe: Recipe | Mixture
     count: int = 1
     seed: int = 0
     start: int = 0
@@ -101,8 +102,10 @@ class Work:
     _digests: dict[Path, str] = dataclasses.field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_photographs(self.recipe)
-        check_traces(self.recipe)
+        recipes = self.recipe.recipes.values() if isinstance(self.recipe, Mixture) else [self.recipe]
+        for recipe in recipes:
+            check_photographs(recipe)
+            check_traces(recipe)
         object.__setattr__(self, "paths", find_images(self.inputs))
         if not 0 <= self.start <= (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
@@ -158,7 +161,10 @@ class Work:
 
     def _drawn(self, sample: Sample, params: dict[str, Any]) -> Recipe:
         note = {"sample": self.note(sample)}
-        return Recipe(self.recipe.chain, params, f"the parameters drawn for {sample.stem}", note)
+        recipe = self.recipe
+        if isinstance(recipe, Mixture):
+            recipe, params = recipe.drawn(params)
+        return Recipe(recipe.chain, params, f"the parameters drawn for {sample.stem}", note)
 
     def note(self, sample: Sample) -> dict[str, Any]:
         """What says which sample of which run it is."""
@@ -229,7 +235,7 @@ def _is_sound(path: Path) -> bool:
 def degrade_files(
     inputs: Sequence[str | Path],
     out: str | Path,
-    recipe: Recipe,
+    recipe: Recipe | Mixture,
     *,
     count: int = 1,
     seed: int = 0,

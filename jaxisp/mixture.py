@@ -6,19 +6,22 @@ recipes of its images cost, and at most the padding of a group a recipe. All rec
 
 import dataclasses
 import functools
+import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tomli_w
 from jax import lax
 from jax.typing import ArrayLike
 
 from jaxisp.arrays.barriers import store
 from jaxisp.arrays.varying import alike, spread_over
 from jaxisp.errors import InputError
-from jaxisp.io.files import short
+from jaxisp.io.files import parse_toml, short, write_text
 from jaxisp.params import strong
 from jaxisp.pipeline import Chain, over_batch, spread
 from jaxisp.priors import draw
@@ -61,6 +64,50 @@ class Mixture:
 
     def __repr__(self) -> str:
         return f"mix({dict(zip(self.recipes, self.shares))})"
+
+    @property
+    def name(self) -> str:
+        """What it mixes, as `phone-awgn`."""
+        return "-".join(self.recipes)
+
+    def to_toml(self) -> str:
+        """The mixture as TOML, with its recipes in it; `from_toml` reads it back equal."""
+        tables = [tomllib.loads(recipe.to_toml()) for recipe in self.recipes.values()]
+        parts = [{"share": share, "recipe": table} for share, table in zip(self.shares, tables)]
+        return tomli_w.dumps({"mixture": parts})
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "mixture") -> "Mixture":
+        """Read a mixture. Raises InputError that names `source` and what is wrong."""
+        table = parse_toml(text, source)
+        parts = table.get("mixture")
+        wanted = {"share", "recipe"}
+        if set(table) != {"mixture"} or not isinstance(parts, list):
+            raise InputError(f"{source}: a mixture has [[mixture]] tables alone, got {sorted(table)}")
+        if not all(isinstance(part, dict) and set(part) == wanted for part in parts):
+            raise InputError(f"{source}: each [[mixture]] has a share and a recipe")
+        recipes = [Recipe.from_table(part["recipe"], source) for part in parts]
+        if len({recipe.name for recipe in recipes}) < len(recipes):
+            raise InputError(f"{source}: two recipes of a mixture have one name")
+        try:
+            return cls({recipe.name: recipe for recipe in recipes}, tuple(part["share"] for part in parts))
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mixture) and (self.shares, self.recipes) == (other.shares, other.recipes)
+
+    def __hash__(self) -> int:
+        return hash((self.shares, tuple(self.recipes.values())))
+
+    def save(self, path: str | Path) -> None:
+        """Write the TOML file, whole or not at all."""
+        write_text(path, self.to_toml())
+
+    def drawn(self, params: dict[str, Any]) -> tuple[Recipe, dict[str, Any]]:
+        """The recipe of one image, and its parameters, out of what `degrade` drew for it."""
+        name = self.names[int(params[WHICH])]
+        return self.recipes[name], params[name]
 
     @property
     def names(self) -> tuple[str, ...]:

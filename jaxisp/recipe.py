@@ -207,10 +207,11 @@ class Recipe:
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """Read a recipe. Raises InputError that names `source` and what is wrong."""
-        return cls._from_table(parse_toml(text, source), source)
+        return cls.from_table(parse_toml(text, source), source)
 
     @classmethod
-    def _from_table(cls, table: dict[str, Any], source: str) -> "Recipe":
+    def from_table(cls, table: dict[str, Any], source: str = "recipe") -> "Recipe":
+        """Read a recipe that stands in a larger TOML file. Raises what `from_toml` does."""
         try:
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
@@ -233,7 +234,7 @@ class Recipe:
     @classmethod
     def load(cls, path: str | Path) -> "Recipe":
         """Read a TOML file. Raises InputError where it is missing, wrong, or too large to be one."""
-        return cls._from_table(read_toml(path), str(path))
+        return cls.from_table(read_toml(path), str(path))
 
 
 def taken(

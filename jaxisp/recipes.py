@@ -13,18 +13,31 @@ from typing import Any
 
 from jaxisp.domains import MOSAIC
 from jaxisp.errors import InputError
-from jaxisp.io.files import short
+from jaxisp.io.files import parse_toml, read_text, short
 from jaxisp.mixture import Mixture
 from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
+from jaxisp.published import PUBLISHED
+from jaxisp.published import bsrgan as bsrgan
+from jaxisp.published import cbdnet as cbdnet
+from jaxisp.published import darmstadt as darmstadt
+from jaxisp.published import low_light as low_light
+from jaxisp.published import rsblur as rsblur
+from jaxisp.published import unprocessing as unprocessing
 from jaxisp.recipe import Recipe
+from jaxisp.stages.balance import Saturation
+from jaxisp.stages.balanced_noise import BalancedNoise
+from jaxisp.stages.blur import OpticalBlur
+from jaxisp.stages.choice import ChromaSubsampling, Demosaicking, EarlierCompression
 from jaxisp.stages.denoise.bilateral import Bilateral
 from jaxisp.stages.denoise.median import Median
 from jaxisp.stages.detail import UnsharpMask
-from jaxisp.stages.jpeg import JpegPhotoshop
+from jaxisp.stages.jpeg import Jpeg, JpegPhotoshop
 from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
+from jaxisp.stages.resampling import Resampling
 from jaxisp.stages.sensor import AdcQuantization
+from jaxisp.stages.tone import SCurve
 
 CFA = "GRBG"
 PHASES = "-phases"
@@ -115,6 +128,76 @@ def phone_any() -> Recipe:
     return _phone("phone-any", text, noise=SHOT_NOISE, always=False)
 
 
+def any_camera() -> Recipe:
+    """Cameras of all kinds, for a denoiser that is told nothing of the camera; a quarter gets white noise."""
+    text = (
+        "any camera: white balance and colour amplify its noise, each of its filters in some pictures only; "
+        "white noise on one picture in four"
+    )
+    sensor = (
+        stage("mosaic", cfa=CFA),
+        stage("balanced_noise", cfa=CFA),
+        stage("clip", name="sensor_clip"),
+        stage("demosaicking", cfa=CFA),
+    )
+    camera = (
+        stage("srgb_eotf"),
+        stage("saturation", name="sensor_colour"),
+        AnyPhase(Chain(sensor, "sensor")),
+        stage("saturation", name="colour_matrix"),
+        Gate(stage("median", footprint="cross")),
+        Gate(stage("bilateral", chroma_cell=4, chroma_bins=20)),
+        Gate(stage("optical_blur", name="wide_filter", radius=4)),
+        Gate(stage("resampling")),
+        stage("clip", name="clip_light"),
+        stage("srgb_oetf"),
+        Gate(stage("s_curve")),
+        Gate(stage("unsharp_mask", radius=6)),
+        stage("clip", name="clip_encoded"),
+        stage("rounding", name="camera_rounding"),
+        Gate(stage("earlier_compression")),
+        Gate(stage("chroma_subsampling")),
+        Gate(stage("jpeg", subsampling="4:4:4")),
+    )
+    nodes = (Gate(Chain(camera, "camera")), Gate(stage("gaussian_noise")), stage("clip"), stage("rounding"))
+    prior = {
+        "use_camera": Switch(on=Bernoulli(0.85)),
+        # at ISO 100 to 25600: luma of 1 to 20 steps of 255 after all that follows
+        "balanced_noise": BalancedNoise(
+            shot=LogUniform(1e-4, 0.03), read=LogUniform(5e-4, 0.03),
+            red_gain=LogUniform(1.0, 2.5), blue_gain=LogUniform(1.0, 2.5),
+        ),
+        # the colours of a sensor are paler by what its matrix gives back, which amplifies chroma's noise
+        "sensor_colour": Saturation(amount=Uniform(0.45, 1.0)),
+        "colour_matrix": Saturation(amount=Uniform(1.0, 2.2)),
+        "cfa_phase": CfaPhase(row=Bernoulli(0.5), column=Bernoulli(0.5)),
+        "demosaicking": Demosaicking(shares=Bernoulli(0.06)),
+        "use_median": Switch(on=Bernoulli(0.2)),
+        "median": Median(strength=Uniform(0.0, 1.0)),
+        "use_bilateral": Switch(on=Bernoulli(0.25)),
+        "bilateral": BILATERAL,
+        "use_wide_filter": Switch(on=Bernoulli(0.3)),
+        "wide_filter": OpticalBlur(sigma=Uniform(0.3, 1.1)),
+        "use_resampling": Switch(on=Bernoulli(0.3)),
+        "resampling": Resampling(factor=LogUniform(1.05, 2.0)),
+        "use_s_curve": Switch(on=Bernoulli(0.5)),
+        "s_curve": SCurve(strength=Uniform(-0.2, 0.6)),
+        "use_unsharp_mask": Switch(on=Bernoulli(0.6)),
+        "unsharp_mask": UnsharpMask(amount=Uniform(0.0, 1.5), sigma=LogUniform(0.5, 2.0), threshold=0.0),
+        "use_earlier_compression": Switch(on=Bernoulli(0.1)),
+        "earlier_compression": EarlierCompression(
+            quality=Uniform(60.0, 98.0), row=Uniform(0.0, 7.0), column=Uniform(0.0, 7.0)
+        ),
+        "use_chroma_subsampling": Switch(on=Bernoulli(0.6)),
+        "chroma_subsampling": ChromaSubsampling(horizontal=1.0, vertical=Bernoulli(0.7)),
+        "use_jpeg": Switch(on=Bernoulli(0.75)),
+        "jpeg": Jpeg(quality=Uniform(60.0, 98.0)),
+        "use_gaussian_noise": Switch(on=Bernoulli(0.25)),
+        "gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.15)),
+    }  # fmt: skip
+    return Recipe(Chain(nodes, "any-camera"), prior, text)
+
+
 def any_phase(recipe: Recipe) -> Recipe:
     """A recipe whose mosaic begins at any photosite of its pattern's cell, drawn for each image.
 
@@ -151,8 +234,9 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
         phone_authors_code,
         phone_shot,
         phone_any,
+        any_camera,
     )
-}
+} | PUBLISHED
 """The built-in recipes by the name that the command line takes."""
 
 
@@ -172,6 +256,28 @@ def find_recipe(name: str) -> Recipe:
     if not name.endswith(".toml") and not os.path.lexists(name):
         raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
     return Recipe.load(name)
+
+
+def find_degradation(name: str) -> Recipe | Mixture:
+    """What `find_recipe` finds, or a mixture: `phone=0.6,awgn=0.2,clean=0.2`, or a TOML file of one.
+
+    Raises:
+        InputError: there is no such recipe, or shares that do not sum to 1.
+    """
+    if "=" in name and not os.path.lexists(name):
+        shares: dict[str | Recipe, float] = {}
+        for part in name.split(","):
+            own, _, share = part.strip().rpartition("=")
+            try:
+                shares[own] = float(share)
+            except ValueError:
+                raise InputError(f"{part.strip()!r} is no share of a mixture, as phone=0.6") from None
+        return mix(shares)
+    if name.endswith(".toml") or os.path.lexists(name):
+        text = read_text(name)
+        if "mixture" in parse_toml(text, name):
+            return Mixture.from_toml(text, name)
+    return find_recipe(name)
 
 
 def mix(shares: Mapping[str | Recipe, float]) -> Mixture:

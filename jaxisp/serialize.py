@@ -1,7 +1,8 @@
 """Pipelines, parameters and priors as plain tables for TOML, and back unchanged.
 
 A node is `{stage = "jpeg", name = "...", options = {...}}`, `{gate = NODE}`, `{any_phase = NODE}`,
-`{shuffle = [NODE, ...]}` or `{chain = [NODE, ...]}`. A parameter is a number, an array, or one distribution:
+`{unprocessed = NODE, options = {...}}`, `{shuffle = [NODE, ...]}` or `{chain = [NODE, ...]}`.
+A parameter is a number, an array, or one distribution:
 `{log_uniform = [0.01, 0.1]}`. Reading runs no code: stages are looked up in the registry.
 """
 
@@ -20,6 +21,7 @@ from jaxisp.params import specs
 from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
 from jaxisp.priors import DISTRIBUTIONS, Choice, arguments, check_prior, is_distribution, is_traced
+from jaxisp.unprocess import Unprocessed
 
 Table = dict[str, Any]
 _KINDS = {kind: name for name, kind in DISTRIBUTIONS.items()}
@@ -34,6 +36,9 @@ def encode_node(node: Node) -> Table:
         return table | ({"options": {n: _plain(v) for n, v in node.static}} if node.static else {})
     if isinstance(node, AnyPhase):
         return {"any_phase": encode_node(node.node), "name": node.name}
+    if isinstance(node, Unprocessed):
+        kept = {} if node.preserve else {"options": {"preserve": False}}
+        return {"unprocessed": encode_node(node.node), "name": node.name, **kept}
     if isinstance(node, Gate):
         return {"gate": encode_node(node.node), "name": node.name}
     assert isinstance(node, Row)
@@ -64,6 +69,14 @@ def _decode_stage(table: Table) -> Node:
     return stage(table["stage"], name=table.get("name"), **table.get("options", {}))
 
 
+def _decode_unprocessed(table: Table) -> Node:
+    options = table.get("options", {})
+    if set(options) - {"preserve"} or not isinstance(options.get("preserve", True), bool):
+        raise ValueError(f"unprocessed takes the option preserve, true or false, got {short(options)}")
+    inner = decode_node(table["unprocessed"])
+    return Unprocessed(inner, str(table.get("name", "unprocessed")), options.get("preserve", True))
+
+
 def _named(kind: Callable[..., Node], inner: Any, table: Table) -> Node:
     return kind(inner, table["name"]) if "name" in table else kind(inner)
 
@@ -73,6 +86,7 @@ _DECODERS: dict[str, Callable[[Table], Node]] = {
     "gate": lambda t: _named(Gate, decode_node(t["gate"]), t),
     "shuffle": lambda t: _named(Shuffle, tuple(map(decode_node, t["shuffle"])), t),
     "chain": lambda t: _named(Chain, tuple(map(decode_node, t["chain"])), t),
+    "unprocessed": lambda t: _decode_unprocessed(t),
     "any_phase": lambda t: _named(AnyPhase, decode_node(t["any_phase"]), t),
 }
 

@@ -3,13 +3,14 @@
 import json
 import subprocess
 import sys
+import time
 
 import jax
 import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.cli import main
+from jaxisp.cli import common, main
 from jaxisp.io import WarpRectilinear, open_dataset
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
@@ -265,3 +266,28 @@ def test_a_read_only_folder_is_one_line_before_any_work(capsys, photographs, tmp
 def test_it_runs_as_a_module():
     done = subprocess.run([sys.executable, "-m", "jaxisp", "--version"], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("jaxisp ")
+
+
+def test_progress_off_a_terminal_is_a_line_a_phase(capsys, monkeypatch):
+    monkeypatch.setattr(common, "QUIET", 0.0)
+    with common.progress("fitting") as tick:
+        for i in range(3):
+            tick(i, 9, f"first 0.12{i}")
+        tick(4, 9, "last 1 0.1")
+        tick(5, 9, "last 2 0.09")
+        tick(9, 9, "")
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert out == "" and len(lines) == 2
+    assert lines[0].startswith("jaxisp: fitting: first") and lines[1].startswith("jaxisp: fitting: last")
+
+
+def test_a_quick_command_is_silent_and_a_long_phase_is_told(capsys, monkeypatch):
+    with common.progress("fitting") as tick:
+        tick(0, 9, "first")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(common, "QUIET", 0.05)
+    with common.progress("demo") as tick:
+        tick(0, 7, "taking pictures")  # before it, and no tick after it
+        time.sleep(0.3)
+    assert capsys.readouterr().err == "jaxisp: demo: taking pictures\n"

@@ -8,10 +8,13 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from jaxisp import Chain, InputError, Recipe, run, stage
 from jaxisp.domains import EncodedRGB
+from jaxisp.generate import degrade_files
+from jaxisp.io import write_png
+from jaxisp.mixture import Mixture
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
-from jaxisp.recipes import RECIPES, any_phase, find_recipe, mix
+from jaxisp.recipes import RECIPES, any_phase, find_degradation, find_recipe, mix
 from jaxisp.testing import smooth_image
 
 KEY = jax.random.key(7)
@@ -290,3 +293,43 @@ def test_a_mixture_over_devices():
     mesh = Mesh(devices, ("batch",), axis_types=(AxisType.Explicit,))
     spread = jax.device_put(images, NamedSharding(mesh, rows))
     np.testing.assert_array_equal(mixture.degrade(KEY, spread)[0], alone)
+
+
+def test_a_mixture_reads_back_and_runs_as_it_was(tmp_path):
+    mixture = mix({"awgn": 0.6, "amwgn": 0.25, "clean": 0.15})
+    mixture.save(tmp_path / "mine.toml")
+    again = find_degradation(str(tmp_path / "mine.toml"))
+    assert again == mixture and again.to_toml() == mixture.to_toml() and hash(again) == hash(mixture)
+    assert find_degradation("awgn=0.6, amwgn=0.25, clean=0.15") == mixture
+    assert find_degradation("awgn") == find_recipe("awgn")
+    for text, words in (
+        ("awgn=0.6,amwgn", "no share of a mixture"),
+        ("awgn=0.6,amwgn=0.6", "sum to 1"),
+        ("magic=1", "no recipe named 'magic'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            find_degradation(text)
+    broken = mixture.to_toml().replace("share = 0.6", "share = 0.7")
+    with pytest.raises(InputError, match=r"mine: shares of a mixture"):
+        Mixture.from_toml(broken, "mine")
+    with pytest.raises(InputError, match=r"each .*has a share"):
+        Mixture.from_toml("[[mixture]]\nshare = 1.0\n", "mine")
+
+
+def test_a_folder_degraded_by_a_mixture_can_be_made_again(tmp_path):
+    """Each image's TOML is the recipe that it had, with the parameters that were drawn."""
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    write_png(photographs / "a.png", smooth_image((32, 32, 3)))
+    mixture = find_degradation("awgn=0.5,clean=0.5")
+    degrade_files([photographs], tmp_path / "out", mixture, count=6, seed=2)
+    names = [Recipe.load(tmp_path / "out" / f"a_{i:03d}.toml").name for i in range(6)]
+    assert set(names) == {"awgn", "clean"}
+    for i, name in enumerate(names):
+        own = find_degradation(str(tmp_path / "out" / f"a_{i:03d}.toml"))
+        degrade_files([photographs / "a.png"], tmp_path / f"again{i}", own, seed=2, start=i)
+        first, second = (
+            p.read_bytes()
+            for p in (tmp_path / "out" / f"a_{i:03d}.noisy.png", tmp_path / f"again{i}" / "a_000.noisy.png")
+        )
+        assert first == second, name

@@ -20,7 +20,7 @@ def test_a_recipe_fits_on_a_screen(name):
     recipe = find_recipe(name)
     for text in (repr(recipe), repr(recipe.chain)):
         lines = text.splitlines()
-        assert len(lines) <= 30 and max(map(len, lines)) <= 100
+        assert len(lines) <= 50 and max(map(len, lines)) <= 100
         shown = "\n".join(lines[1:])
         assert [s.name for s in recipe.chain.stages() if s.name not in shown] == []
 

@@ -27,7 +27,7 @@ def by_intensity(fixed: tuple[str, ...]) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as folder, changed(phone._LUMA_FILTERS, "bilateral", smooths):
         write_pairs(folder, body, {"coffee": scene("coffee", 384)}, SEED)
-        result = fitted("-".join(["intensity", *fixed]), folder, fixed=fixed)
+        result = fitted("-".join(["intensity", *fixed]), folder, freeze=fixed)
     gamma = float(result.camera.prior["bilateral"].guide_gamma)
     return {"guide_gamma": gamma, "noise": result.pairs[0].noise, **short(result)}
 

@@ -8,13 +8,28 @@ import sys
 from collections.abc import Sequence
 
 from jaxisp import __version__
-from jaxisp.cli import data, degrade, demo, denoise, develop, diagnose, evaluate, fit, listings, recipe, train
+from jaxisp.cli import (
+    calibrate,
+    data,
+    degrade,
+    demo,
+    denoise,
+    develop,
+    diagnose,
+    evaluate,
+    fit,
+    listings,
+    recipe,
+    train,
+)
 from jaxisp.cli.common import Parser, warn
 from jaxisp.errors import InputError
 from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
 
-_MODULES = (demo, develop, fit, recipe, degrade, train, denoise, evaluate, diagnose, data, listings)
+_MODULES = (
+    demo, develop, fit, calibrate, recipe, degrade, train, denoise, evaluate, diagnose, data, listings,
+)  # fmt: skip
 
 
 def parser() -> argparse.ArgumentParser:

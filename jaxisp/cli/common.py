@@ -3,7 +3,10 @@
 import argparse
 import difflib
 import json
+import re
 import sys
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -94,18 +97,56 @@ def report_failures(failed: Iterable[tuple[str, str]]) -> int:
     return 2 if reasons else 0
 
 
+QUIET = 10.0
+"""Seconds that a command is silent off a terminal: a quick one, or one whose input is refused, stays so."""
+
+
 @contextmanager
 def progress(label: str) -> Iterator[Any]:
-    """`tick(done, total, text)` drawn on standard error, on a terminal only."""
+    """`tick(done, total, text)` on standard error: a bar on a terminal, elsewhere a line for each phase."""
+    with _bar(label) if sys.stderr.isatty() else _lines(label) as tick:
+        yield tick
+
+
+@contextmanager
+def _bar(label: str) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     described = TextColumn("{task.description}", markup=False)
     columns = (described, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(label, total=None)
 
         def tick(done: int, total: int, text: str = "") -> None:
             bar.update(task, completed=done, total=total, description=printable(f"{label} {text}".strip()))
 
         yield tick
+
+
+@contextmanager
+def _lines(label: str) -> Iterator[Any]:
+    begun, lock = time.monotonic(), threading.Lock()
+    now, told = "", ""
+
+    def tell() -> None:
+        nonlocal told
+        with lock:
+            phase = re.sub(r"[-\d.]+", "", now)  # counts and objectives within it are no phase of their own
+            if phase and phase != told:
+                told = phase
+                warn(f"{label}: {now}")
+
+    def tick(done: int, total: int, text: str = "") -> None:
+        nonlocal now
+        now = text
+        if time.monotonic() - begun >= QUIET:
+            tell()
+
+    timer = threading.Timer(QUIET, tell)  # a long phase may have begun before
+    timer.daemon = True
+    timer.start()
+    try:
+        yield tick
+    finally:
+        timer.cancel()

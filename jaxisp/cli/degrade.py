@@ -12,7 +12,10 @@ def add_commands(commands: Any) -> None:
     command.add_argument("inputs", nargs="+", metavar="IN", help="clean images, or folders of them")
     command.add_argument("-o", "--out", required=True, metavar="DIR", help="output folder, a data set")
     command.add_argument(
-        "--recipe", required=True, metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file"
+        "--recipe",
+        required=True,
+        metavar="RECIPE",
+        help="a name (jaxisp recipes), a TOML file, or shares of several: phone=0.8,clean=0.2",
     )
     command.add_argument(
         "--count", type=positive, default=1, metavar="N", help="versions of each image (default 1)"
@@ -34,10 +37,10 @@ def add_commands(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     if arguments.shard is not None and not arguments.shards:
         raise InputError("--shard needs --shards N, the number of all shards")
-    from jaxisp.recipes import find_recipe
+    from jaxisp.recipes import find_degradation
 
     with progress("degrading") as tick:
-        done = _degrade(arguments, find_recipe(arguments.recipe), tick)
+        done = _degrade(arguments, find_degradation(arguments.recipe), tick)
     result = done.as_dict()
     if arguments.json:
         print_json(result)

@@ -19,7 +19,9 @@ from jaxisp.cli.common import (
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "diagnose", run, "name the effects that a simulated camera lacks")
-    command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG or clean+noisy pairs")
+    command.add_argument(
+        "dataset", metavar="DATASET", help="a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs"
+    )
     command.add_argument(
         "-o", "--out", required=True, metavar="DIR", help="output folder for report.json and report.html"
     )
@@ -28,6 +30,11 @@ def add_commands(commands: Any) -> None:
     )
     command.add_argument(
         "--recipe", metavar="RECIPE", help="the simulator of clean+noisy pairs: a name or a TOML file"
+    )
+    command.add_argument(
+        "--reference",
+        metavar="DATASET",
+        help="pairs of the same camera without the effect: its module off, another setting or firmware",
     )
     command.add_argument(
         "--exclude", type=names, default=[], metavar="EFFECT,...", help="effects to leave out"
@@ -82,6 +89,7 @@ def _diagnosed(arguments: Namespace, folder: Path) -> Any:
             arguments.dataset,
             camera,
             recipe=recipe,
+            reference=arguments.reference,
             exclude=arguments.exclude,
             downstream=how if arguments.downstream else None,
             seed=arguments.seed,
@@ -106,8 +114,13 @@ def _print(report: dict[str, Any]) -> None:
     from jaxisp.gap.report.page import next_measurements, sentence, unexplained
 
     gap, left = report["gap"], unexplained(report)
+    beside = f"; the reference's gap {gap['reference']:.3g}" if "reference" in gap else ""
     before, after, floor = (f"{gap[name]:.3g}" for name in ("before", "after", "floor"))
-    say(f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}" + f"; {left}" * bool(left))
+    say(
+        f"verdict: {report['verdict']}; gap {before} -> {after}, floor {floor}"
+        + beside
+        + f"; {left}" * bool(left)
+    )
     rows = [
         (c["effect"], c["site"], f"{c['closed']:.2f}", f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}",
          ", ".join(c["alternatives"]) or "-")

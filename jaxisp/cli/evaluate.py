@@ -16,7 +16,7 @@ from jaxisp.cli.common import (
     say,
     warn,
 )
-from jaxisp.cli.denoise import add_network_options
+from jaxisp.cli.denoise import add_network_options, find_denoiser
 from jaxisp.errors import InputError
 
 
@@ -24,6 +24,7 @@ def add_commands(commands: Any) -> None:
     command = add_command(commands, "evaluate", run, "PSNR and SSIM of denoisers on clean+noisy pairs")
     command.add_argument("dataset", metavar="DATASET", help="a folder of clean+noisy pairs")
     command.add_argument("--run", dest="folder", metavar="RUN", help="a folder written by jaxisp train")
+    command.add_argument("--shipped", action="store_true", help="measure the network that comes with jaxisp")
     command.add_argument(
         "--methods", type=names, default=[], metavar="NAME[=STRENGTH],...",
         help="classical denoisers: gaussian, tv, nlm, wavelet, bm3d, ffdnet; as strong as the noise asks for",
@@ -43,13 +44,13 @@ def add_commands(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.train import evaluate_dataset, load_denoiser
+    from jaxisp.train import evaluate_dataset
 
     methods = _methods(arguments)
     denoise, model = None, None
-    if arguments.folder:
-        denoiser, config = load_denoiser(arguments.folder, arguments.checkpoint)
-        denoise, model = functools.partial(denoiser, tile=arguments.tile), config.model
+    if _network(arguments):
+        denoiser, model = find_denoiser(arguments)
+        denoise = functools.partial(denoiser, tile=arguments.tile)
     with progress("evaluating") as tick:
         result = evaluate_dataset(
             denoise, arguments.dataset, methods=methods, light=arguments.light, crop=arguments.crop,
@@ -77,17 +78,23 @@ def run(arguments: Namespace) -> int:
     return report_failures(failed)
 
 
+def _network(arguments: Namespace) -> bool:
+    if arguments.folder and arguments.shipped:
+        raise InputError("--run and --shipped name two networks; give one")
+    return bool(arguments.folder or arguments.shipped)
+
+
 def _methods(arguments: Namespace) -> list[Any]:
     """The classical denoisers that can run; of others it is said what is to be installed."""
     from jaxisp.train.classical import parse_methods
 
     if not arguments.methods:
-        if arguments.folder:
+        if _network(arguments):
             return []
-        raise InputError("nothing to measure: give --run RUN, --methods NAME,... or both")
+        raise InputError("nothing to measure: give --run RUN, --shipped, --methods NAME,... or several")
     asked = parse_methods(arguments.methods)
     missing = {m.name: package for m in asked if (package := m.missing())}
-    if len(missing) == len(asked) and not arguments.folder:
+    if len(missing) == len(asked) and not _network(arguments):
         raise InputError(f"{', '.join(missing)}: not installed: pip install {' '.join(missing.values())}")
     for name, package in missing.items():
         warn(f"{name}: left out, as it is not installed: pip install {package}")

@@ -22,6 +22,11 @@ from jaxisp.cli.devices import add_devices, join, use_cores
 
 def add_commands(commands: Any) -> None:
     command = add_command(commands, "fit", run, "fit a camera to RAW+JPEG pairs")
+    command.epilog = (
+        "files of DATASET belong together by their names: NAME.dng (or another RAW, or NAME.raw.npy) beside "
+        "NAME.jpg (or NAME.png); a RAW that embeds its full-size JPEG may stand alone. dataset.toml, if any, "
+        "states what the files do not: camera, iso, [raw] of NAME.raw.npy"
+    )
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG pairs")
     command.add_argument("-o", "--out", required=True, metavar="CAMERA.toml")
     command.add_argument(
@@ -54,7 +59,29 @@ def add_commands(commands: Any) -> None:
         help="comma-separated parameters to fit for each image: stages, stage.field, tone, colour",
     )
     command.add_argument(
+        "--start", metavar="CAMERA.toml", help="go on from a camera that an earlier fit wrote"
+    )
+    for name, what in (
+        ("freeze", "stay where they start"),
+        ("free", "are fitted though they are frozen by default (exposure, unsharp_mask.threshold, ...)"),
+    ):
+        command.add_argument(
+            f"--{name}", type=names, default=[], metavar="NAMES", help=f"parameters that {what}"
+        )
+    command.add_argument(
+        "--insert",
+        type=names,
+        default=[],
+        metavar="STAGES",
+        help="stages to fit beside the others: STAGE, after the tone curve, or STAGE@NAME, after another",
+    )
+    command.add_argument(
         "--recipe", metavar="OUT.toml", help="also write a recipe of this camera for `jaxisp degrade`"
+    )
+    command.add_argument(
+        "--noise",
+        metavar="NOISE.toml",
+        help="the sensor's noise from jaxisp calibrate (default: from the RAWs)",
     )
     add_devices(command, "split it into N devices for the tiles (default: one device, a thread per core)")
 
@@ -64,7 +91,6 @@ def run(arguments: Namespace) -> int:
         use_cores(arguments.cpu_devices)
     import jax
 
-    from jaxisp.fit import prior_from_cameras
     from jaxisp.fit.journal import beside, in_the_way
     from jaxisp.fit.report import write_report
 
@@ -78,7 +104,7 @@ def run(arguments: Namespace) -> int:
             return report_failures(result.failed)
         result.camera.save(arguments.out)
         if arguments.recipe:
-            prior_from_cameras([result.camera]).save(arguments.recipe)
+            _recipe(result.camera, arguments).save(arguments.recipe)
         if arguments.report:
             write_report(result, arguments.report)
     if not blocked:
@@ -93,6 +119,18 @@ def run(arguments: Namespace) -> int:
     return report_failures(result.failed)
 
 
+def _recipe(camera: Any, arguments: Namespace) -> Any:
+    """Of the camera; with calibrated noise, all of it at the ISO number of the pairs, where that is one."""
+    from jaxisp.calibrate import Calibrated, with_noise
+    from jaxisp.fit import prior_from_cameras
+
+    recipe = prior_from_cameras([camera])
+    if arguments.noise is None:
+        return recipe
+    known = Calibrated.load(arguments.noise)
+    return with_noise(recipe, known.at()) if len(known.noise) == 1 else recipe
+
+
 @contextmanager
 def _places(arguments: Namespace) -> Iterator[None]:
     """Where results go is tried first: a fault there should not cost a fit."""
@@ -100,10 +138,11 @@ def _places(arguments: Namespace) -> Iterator[None]:
     from jaxisp.io.files import filled_file
 
     with ExitStack() as stack:
-        settings = Path(arguments.dataset, "dataset.toml")
-        stack.enter_context(filled_file(arguments.out, [settings]))
+        inputs = [Path(arguments.dataset, "dataset.toml")]
+        inputs += [Path(given) for given in (arguments.start, arguments.noise) if given]
+        stack.enter_context(filled_file(arguments.out, inputs))
         if arguments.recipe:
-            stack.enter_context(filled_file(arguments.recipe, [settings, arguments.out]))
+            stack.enter_context(filled_file(arguments.recipe, [*inputs, arguments.out]))
         if arguments.report:
             output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
         yield
@@ -122,6 +161,11 @@ def _fitted(arguments: Namespace) -> Any:
             starts=arguments.starts,
             hold_out=arguments.hold_out,
             per_image=arguments.per_image,
+            start=arguments.start,
+            freeze=arguments.freeze,
+            free=arguments.free,
+            insert=arguments.insert,
+            noise=arguments.noise,
             journal=beside(arguments.out),
             mesh=_mesh(bool(arguments.cpu_devices)),
             tick=tick,

@@ -1,19 +1,23 @@
-"""`jaxisp recipe`: a recipe for training data out of fitted cameras."""
+"""`jaxisp recipe`: a recipe for training data out of fitted cameras, or another with calibrated noise."""
 
 from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, print_json, say
+from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "recipe", run, "make a recipe for training data out of fitted cameras")
+    command = add_command(
+        commands, "recipe", run, "make a recipe out of fitted cameras, or one with calibrated noise"
+    )
     command.add_argument(
         "cameras",
         nargs="+",
         metavar="CAMERA.toml",
-        help="cameras written by jaxisp fit; demosaicker, median and order come from the first",
+        help="cameras written by jaxisp fit; demosaicker, median and order come from the first; with --noise "
+        "also one recipe, a name or a TOML file",
     )
     command.add_argument("-o", "--out", required=True, metavar="OUT.toml", help="the recipe to write")
     command.add_argument(
@@ -24,6 +28,12 @@ def add_commands(commands: Any) -> None:
         "--noise-spread", type=_factor, default=4.0, metavar="F",
         help="the same for the noise variance, which varies with ISO (default 4)",
     )  # fmt: skip
+    command.add_argument(
+        "--noise", metavar="NOISE.toml", help="noise from jaxisp calibrate in the place of the recipe's own"
+    )
+    command.add_argument(
+        "--iso", type=float, metavar="N", help="which ISO number of NOISE.toml (needed where it has several)"
+    )
 
 
 def _factor(text: str) -> float:
@@ -34,19 +44,37 @@ def _factor(text: str) -> float:
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.fit import prior_from_cameras
     from jaxisp.io.files import check_output, real_paths
 
-    check_output(arguments.out, real_paths(arguments.cameras))
-    recipe = prior_from_cameras(
+    noise = [arguments.noise] if arguments.noise else []
+    if arguments.iso is not None and not noise:
+        raise InputError("--iso needs --noise NOISE.toml")
+    check_output(arguments.out, real_paths([*arguments.cameras, *noise]))
+    recipe = _recipe(arguments)
+    if noise:
+        from jaxisp.calibrate import Calibrated, with_noise
+
+        recipe = with_noise(recipe, Calibrated.load(arguments.noise).at(arguments.iso))
+    recipe.save(arguments.out)
+    if arguments.json:
+        print_json({"recipe": arguments.out, "cameras": arguments.cameras, "noise": arguments.noise})
+    else:
+        say(f"{arguments.out}: {recipe.description}")
+    return 0
+
+
+def _recipe(arguments: Namespace) -> Any:
+    """Out of the cameras; with calibrated noise one recipe for photographs may stand in their place."""
+    from jaxisp.fit import prior_from_cameras
+    from jaxisp.recipes import find_recipe
+
+    if arguments.noise and len(arguments.cameras) == 1:
+        found = find_recipe(arguments.cameras[0])
+        if found.chain.domain_in.name != "mosaic":
+            return found
+    return prior_from_cameras(
         arguments.cameras,
         spread=arguments.spread,
         noise_spread=arguments.noise_spread,
         name=Path(arguments.out).stem,
     )
-    recipe.save(arguments.out)
-    if arguments.json:
-        print_json({"recipe": arguments.out, "cameras": arguments.cameras})
-    else:
-        say(f"{arguments.out}: {recipe.description}")
-    return 0

@@ -27,6 +27,9 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--ema", float, "decay of the averaged weights, 0 for none (default 0.999)"),
     ("--loss", str, "l1 (default), charbonnier, smooth_l1 or l2"),
     ("--light", str, "input of the network: encoded (default) or linear"),
+    ("--target", str, "what it gives: photo (default), or camera, what that would show without noise"),
+    ("--pool", int, "patches that are degraded once and used in each epoch (default 0: none)"),
+    ("--start", str, "weights to begin with: a file that jaxisp.models.save_network wrote"),
     ("--log-every", positive, "steps between lines of the log (default 20)"),
     ("--checkpoint-every", positive, "steps between checkpoints with validation (default 500)"),
     ("--keep", positive, "checkpoints kept besides the best (default 2)"),
@@ -45,7 +48,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
     command.add_argument(
         "--model", metavar="NAME",
-        help="unet (default), fast, dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
+        help="unet (default), levelnet, fast, dncnn6, dncnn17, ffdnet, nafnet, n3net or n3net-stripped",
     )  # fmt: skip
     command.add_argument("-o", "--out", required=True, metavar="RUN", help="folder of the run")
     command.add_argument("--resume", action="store_true", help="continue from the last checkpoint of the run")

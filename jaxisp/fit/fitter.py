@@ -51,8 +51,10 @@ def fit_examples(
     demosaic: str = "auto",
     median: str = "auto",
     place: str = "camera",
+    start: Recipe | str | Path | None = None,
+    insert: Sequence[str] = (),
     per_image: Sequence[str] = (),
-    fixed: Sequence[str] = (),
+    freeze: Sequence[str] = (),
     free: Sequence[str] = (),
     starts: int = 1,
     hold_out: str = HOLD_OUT[0],
@@ -69,9 +71,13 @@ def fit_examples(
         demosaic: the demosaicking stage; "auto" tries all.
         median: footprint of the median filter ("cross", "3x3", "5x5"), "none", or "auto".
         place: where denoising is: "camera" RGB or "encoded" RGB.
+        start: a camera that an earlier fit wrote, or its file: the fit goes on from its parameters and, where
+            these are "auto", from its choices.
+        insert: stages to fit beside the others: `STAGE`, after the tone curve, or `STAGE@NAME`, elsewhere.
+            They take encoded pictures and act on each pixel for itself; see `model.insertion`.
         per_image: parameters that each image has of its own: stages, `stage.field`s, "tone", "colour".
             The camera gets their mean.
-        fixed: parameters that stay where they start, named likewise, beside those of `FIXED_NAMES`.
+        freeze: parameters that stay where they start, named likewise, beside those of `FIXED_NAMES`.
         free: those of `FIXED_NAMES` that are fitted all the same.
         starts: of these many settings to start from the best is taken after a few steps; see `model.starts`.
         hold_out: "tiles" reports those that were not fitted; "scenes" also fits the camera again without
@@ -91,8 +97,9 @@ def fit_examples(
         InputError: no pair can be fitted, there is no such choice or parameter, another process has the
             journal, or processes that fit together see different pairs.
     """
-    names = tuple(per_image), tuple(fixed), tuple(free)
-    options = Options(steps, demosaic, median, place, *names, starts)
+    names = tuple(per_image), tuple(freeze), tuple(free)
+    inserted = tuple(model.insertion(text) for text in insert)
+    options = Options(steps, demosaic, median, place, *names, starts, inserted, _camera_text(start))
     _check(options)
     if hold_out not in HOLD_OUT:
         raise InputError(f"{hold_out!r} cannot be held out; there are {', '.join(HOLD_OUT)}")
@@ -133,6 +140,12 @@ def _fitted(
     return dataclasses.replace(result, scenes=found, seconds=time.perf_counter() - clock)
 
 
+def _camera_text(start: Recipe | str | Path | None) -> str:
+    if start is None:
+        return ""
+    return (start if isinstance(start, Recipe) else Recipe.load(start)).to_toml()
+
+
 def _loaded(given: Given) -> Example:
     return given() if callable(given) else given
 
@@ -147,7 +160,7 @@ def _check(options: Options) -> None:
     for what, (given, names) in known.items():
         if given not in names:
             raise InputError(f"{given!r} is no {what}; there are {', '.join(names)}")
-    sharing(model.start(), options.per_image, options.fixed, options.free)
+    sharing(model.start(options.inserted), options.per_image, options.fixed, options.free)
     if not 1 <= options.starts <= len(model.starts()):
         raise InputError(f"{options.starts} starts: there are 1 to {len(model.starts())}")
 
@@ -272,6 +285,7 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
         "held_out": HOW,
         "design": outcome.design.text,
         "not_identified": unknown,
+        "inserted": [node.name for node, _ in outcome.design.inserted],
         "seen": _seen(shots).as_dict(),
     }
     noise = [s.sensor_noise for s in shots if s.sensor_noise is not None]

@@ -1,12 +1,18 @@
 """The camera that is fitted: its stages, the discrete choices among them, and where each fit starts."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from jaxisp.domains import ENCODED, accepts
 from jaxisp.encoder import ENCODER, encoder_of
+from jaxisp.errors import InputError, meant
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
+from jaxisp.recipe import Recipe
+from jaxisp.stages import STAGES
 from jaxisp.stages.balance import ColorMatrix, Saturation
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.denoise.bilateral import Bilateral
@@ -43,6 +49,10 @@ SET_FROM_FILE = ("mosaic_white_balance", ENCODER)
 """Stages whose parameters are read, not fitted."""
 
 
+Inserted = tuple[Stage, str]
+"""A stage, and the name of the stage that it follows."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Design:
     """The discrete choices.
@@ -55,6 +65,7 @@ class Design:
             "encoded" sRGB, after colour.
         lens: whether radial distortion and lateral colour are among its stages.
         sampling: whether chroma sampling is: where no file states it, for an encoder does it otherwise.
+        inserted: stages of the user's own, each after the stage of a name; see `insertion`.
     """
 
     demosaic: str = DEMOSAICKERS[0]
@@ -63,14 +74,16 @@ class Design:
     place: str = PLACES[0]
     lens: bool = False
     sampling: bool = False
+    inserted: tuple["Inserted", ...] = ()
 
     @property
     def text(self) -> str:
         passes = f" + {self.passes} colour-difference medians" if self.passes else ""
         median = f", median {self.median}" if self.median else ""
         lens = ", distortion and lateral colour" if self.lens else ""
+        own = "".join(f", {node.name}" for node, _ in self.inserted)
         name = self.demosaic.removeprefix("demosaic_")
-        return f"{name}{passes}{median}, denoised in {self.place} RGB{lens}"
+        return f"{name}{passes}{median}, denoised in {self.place} RGB{lens}{own}"
 
 
 def head(cfa: str, design: Design) -> Chain:
@@ -101,10 +114,41 @@ def around_median(place: str) -> tuple[Chain, Chain]:
     return Chain((rooted, _bilateral()), "before"), Chain((linear,), "after")
 
 
-def back(place: str) -> Chain:
-    """What follows denoising: colour where it is not in front, tone, saturation, sharpening."""
+def back(place: str, inserted: Sequence[Inserted] = ()) -> Chain:
+    """What follows denoising: colour where it is not in front, tone, saturation, sharpening, and what is
+    inserted."""
     look = stage("saturation"), stage("unsharp_mask", radius=6), stage(SAMPLING)
-    return Chain((*(() if place == "encoded" else _color()), *tone().nodes, *look), "back")
+    chain = Chain((*(() if place == "encoded" else _color()), *tone().nodes, *look), "back")
+    for node, after in inserted:
+        chain = chain.insert(node, after=after)
+    return chain
+
+
+FOLLOWED = ("gamma_compression", "s_curve", "zone_curve", "saturation", "unsharp_mask")
+"""Stages after which others can be inserted, on encoded pictures."""
+
+
+def insertion(text: str) -> Inserted:
+    """`STAGE` or `STAGE@NAME` as a stage that follows another: by default the tone curve.
+
+    Raises:
+        InputError: no such stage, one that is drawn or reads other pixels, or one that is fitted already.
+    """
+    name, _, after = text.partition("@")
+    after = after or FOLLOWED[2]
+    if name not in STAGES:
+        raise InputError(f"insert: no stage named {name!r}{meant(name, STAGES)}")
+    node = stage(name)
+    if after not in FOLLOWED:
+        raise InputError(f"insert {text!r}: a stage can follow {', '.join(FOLLOWED)}, not {after!r}")
+    if not (accepts(node.domain_in, ENCODED) and accepts(ENCODED, node.domain_out)):
+        raise InputError(f"insert: {name} takes {node.domain_in.name}, expected a stage on encoded sRGB")
+    if node.stochastic or node.reach != 0:
+        what = "draws noise" if node.stochastic else "reads other pixels"
+        raise InputError(f"insert: {name} {what}; a fit inserts stages that act on each pixel for itself")
+    if name in start():
+        raise InputError(f"insert: {name} is fitted already")
+    return node, after
 
 
 def tone() -> Chain:
@@ -124,7 +168,7 @@ def _color() -> tuple[Stage, ...]:
 def fitted(design: Design) -> Chain:
     """All that the fit moves: camera RGB to encoded sRGB, before rounding and the encoder."""
     lens = tuple(stage(name) for name in LENS) if design.lens else ()
-    tail = back(design.place)
+    tail = back(design.place, design.inserted)
     tail = tail if design.sampling else tail.without(SAMPLING)
     nodes = (stage("vignetting"), *lens, *front(design).nodes, *tail.nodes)
     return Chain(nodes, "camera_rgb_to_picture")
@@ -135,12 +179,13 @@ def camera(cfa: str, design: Design) -> Chain:
     return Chain((*head(cfa, design).nodes, *fitted(design).nodes, stage("rounding")), "fitted")
 
 
-def start() -> Params:
+def start(inserted: Sequence[Inserted] = ()) -> Params:
     """Where a fit begins, before exposure and colour are set: mild denoising and sharpening, no bend.
 
-    It holds the parameters of every design.
+    It holds the parameters of every design. What is inserted begins at its defaults.
     """
-    return {
+    own = {name: values for node, _ in inserted for name, values in node.init().items()}
+    return own | {
         "vignetting": Vignetting(),
         "lateral_chromatic_aberration": LateralChromaticAberration(),
         "geometric_distortion": GeometricDistortion(),
@@ -157,6 +202,30 @@ def start() -> Params:
         "unsharp_mask": UnsharpMask(amount=0.3, sigma=1.2, threshold=0.0),
         SAMPLING: ChromaSubsampling(horizontal=0.5, vertical=0.5),
     }
+
+
+def of_camera(camera: Recipe) -> tuple[dict[str, Any], Params]:
+    """The choices of a camera that `jaxisp fit` wrote, as fields of `Design`, and its parameters.
+
+    Raises:
+        InputError: it is no such camera.
+    """
+    stages = {s.name: s for s in camera.chain.stages()}
+    demosaickers = [s.fn.__name__ for s in stages.values() if s.fn.__name__.startswith("demosaic_")]
+    missing = sorted({"exposure", "color_matrix", "unsharp_mask"} - set(camera.prior))
+    if len(demosaickers) != 1 or missing:
+        why = f"it has no {', '.join(missing)}" if missing else f"it demosaicks {len(demosaickers)} times"
+        raise InputError(f"start: {camera.name!r} is no camera from `jaxisp fit`: {why}")
+    again = stages.get("color_difference_median")
+    median = stages.get("median")
+    choices = {
+        "demosaic": demosaickers[0],
+        "passes": int(str(again.options["passes"])) if again else 0,
+        "median": str(median.options["footprint"]) if median else None,
+        "lens": all(name in stages for name in LENS),
+    }
+    kept = {n: v for n, v in start().items() if isinstance(camera.prior.get(n), type(v))}
+    return choices, {n: camera.prior[n] for n in kept}
 
 
 def starts() -> list[Params]:

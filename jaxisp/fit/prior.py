@@ -71,7 +71,8 @@ def prior_from_cameras(
     for camera in loaded:
         _check_fitted(camera)
     first = loaded[0]
-    kept = [node for node in first.chain.nodes if node.name not in (*LEFT_OUT, JPEG)]
+    left_out = (*LEFT_OUT, *map(str, first.meta.get("inserted", ())), JPEG)
+    kept = [node for node in first.chain.nodes if node.name not in left_out]
     encoder = next((c for c in loaded if JPEG in c.prior), None)
     if encoder:
         kept += [node for node in encoder.chain.nodes if node.name == JPEG]

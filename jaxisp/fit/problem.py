@@ -62,7 +62,7 @@ class Given(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The static part: where denoising is, which parameters move, and the JPEG's encoder. Hashable.
+    """The static part: where denoising is, which parameters move, the encoder, what is inserted. Hashable.
 
     Demosaicking is done before, and the size of the median is traced: all designs share one compile.
     Its parameters are traced.
@@ -71,6 +71,7 @@ class Problem(NamedTuple):
     place: str
     layout: Layout
     encoder: Stage | None = None
+    inserted: tuple[model.Inserted, ...] = ()
 
     @property
     def columns(self) -> list[tuple[str, str]]:

@@ -120,7 +120,7 @@ class _Steps(NamedTuple):
     def finish(self, vector: jax.Array, denoised: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
         values = self.params(vector)
         shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
-        tail = model.back(self.problem.place)
+        tail = model.back(self.problem.place, self.problem.inserted)
         images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
         images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
         return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
@@ -234,7 +234,7 @@ def jacobian_shape(problem: Problem) -> tuple[int, int]:
 
 def on_nothing(problem: Problem) -> tuple[Given, np.ndarray, Chunk]:
     """Arguments for `normal_equations` with which it can be compiled."""
-    start, columns = as_arrays(model.start()), len(problem.columns)
+    start, columns = as_arrays(model.start(problem.inserted)), len(problem.columns)
     moving, still = np.zeros(columns, bool), np.asarray([0, 0, 1, 1], np.float32)
     no, encoder = np.bool_(False), problem.encoder.init() if problem.encoder else {}
     given = Given(start, np.int32(0), still, no, no, encoder, moving)

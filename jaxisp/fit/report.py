@@ -15,12 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxisp.fit.curvature import KNOWN, LEAST, Identified
-from jaxisp.fit.model import SET_FROM_FILE
+from jaxisp.fit.model import SET_FROM_FILE, tone
 from jaxisp.fit.noise import KINDS
 from jaxisp.fit.result import FitResult
 from jaxisp.fit.search import GAIN
 from jaxisp.io.files import output_folder
 from jaxisp.params import Spec, specs
+from jaxisp.pipeline import run
 from jaxisp.report import Page
 
 _UNKNOWN, _BOUND = " (not identified)", " (at a bound)"
@@ -28,12 +29,21 @@ _UNKNOWN, _BOUND = " (not identified)", " (at a bound)"
 
 def write_report(result: FitResult, folder: str | Path) -> Path:
     """Write `report.html` into the folder; return its path."""
-    lead = f"{len(result.pairs)} pairs in {result.seconds:.0f} s. {doubts(result)}"
-    page = Page("A camera fitted to its own pictures", lead.strip())
+    page = Page("A camera fitted to its own pictures", summary(result))
     add_fit(page, result)
     path = output_folder(folder) / "report.html"
     page.write(path)
     return path
+
+
+def summary(result: FitResult) -> str:
+    """The result in a sentence or two: how well the camera does on what it was not fitted to."""
+    many = len(result.pairs)
+    pairs = f"{many} pair{'s' * (many != 1)} in {result.seconds:.0f} s."
+    if not many:
+        return pairs
+    held = result.as_dict()["held_out"]
+    return f"{held['psnr']:.2f} dB, SSIM {held['ssim']:.4f} held out ({held['how']}). {pairs}"
 
 
 def doubts(result: FitResult) -> str:
@@ -52,11 +62,13 @@ def add_fit(page: Page, result: FitResult, most: int = 2) -> None:
         page.table(("pair", "PSNR [dB]", "SSIM"), rows)
     page.heading("The fit, before and after", f"Held out: {result.how}.")
     _add_pairs(page, result, most)
-    said = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]
-    said += [(name, reason) for name, reason in result.failed]
-    if said:
+    if said := doubts(result):
+        page.heading("What not to rely on", said)
+    told = [(p.name, text) for p in result.pairs for text in (*p.notes, *p.flags)]
+    told += [(name, reason) for name, reason in result.failed]
+    if told:
         page.heading("What to know about pairs", "")
-        page.table(("pair", "what"), said)
+        page.table(("pair", "what"), told)
     _add_noise(page, result)
     _add_choices(page, result)
     _add_camera(page, result)
@@ -107,6 +119,10 @@ def _add_noise(page: Page, result: FitResult) -> None:
         "render and of the camera's picture, by intensity (white is 1). Below, the detail at strong edges, "
         "render over picture.",
     )
+    if any(p.noise.get(kind, {}).get("by_level") for p in result.pairs for kind in KINDS):
+        drawn = {"std": "standard deviation of the noise", "lag1": "lag-1 autocorrelation of the noise"}
+        how = "by intensity: dots the camera's pictures, lines the renders"
+        page.figures([(f"{text} {how}", _noise_figure(result, n)) for n, text in drawn.items()])
     head = ("pair", "plane", "intensity", "std, render", "std, picture", "lag 1, render", "lag 1, picture")
     page.table(head, _noise_rows(result))
     page.table(
@@ -116,6 +132,41 @@ def _add_noise(page: Page, result: FitResult) -> None:
             for p in result.pairs
         ],
     )
+
+
+def _noise_figure(result: FitResult, name: str) -> Figure:
+    """One statistic by intensity, luma and chroma: of the renders and of the camera's pictures."""
+    figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
+    scale = 255 if name == "std" else 1
+    for kind, colour in zip(KINDS, ("#3b6ea5", "#c1622f")):
+        for i, pair in enumerate(result.pairs):
+            rows = pair.noise.get(kind, {}).get("by_level", [])
+            levels = [row["level"] for row in rows]
+            render, picture = (scale * np.asarray([row[name][k] for row in rows]) for k in (0, 1))
+            axes.plot(levels, render, "-", color=colour, linewidth=1, label=kind if i == 0 else None)
+            axes.plot(levels, picture, "o", color=colour, markersize=3.5)
+    axes.set(xlabel="intensity", ylabel="std [1/255]" if name == "std" else "correlation")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+    plt.close(figure)
+    return figure
+
+
+def _tone_figure(result: FitResult) -> Figure | None:
+    """The curve on greys that the stages of tone make together; None where the camera lacks them."""
+    chain = tone()
+    if not {*chain.init()} <= {*result.camera.prior}:
+        return None
+    levels = np.linspace(0, 1, 200, dtype=np.float32)
+    grey = np.broadcast_to(levels[:, None, None], (200, 1, 3))
+    curve = np.asarray(run(chain, {n: result.camera.prior[n] for n in chain.init()}, grey))[:, 0, 1]
+    figure, axes = plt.subplots(figsize=(4, 4), layout="constrained")
+    axes.plot(levels, levels, ":", color="#888888", linewidth=1)
+    axes.plot(levels, curve, color="#3b6ea5", linewidth=1.5)
+    axes.set(xlabel="encoded sRGB without the curve", ylabel="encoded sRGB with it", aspect="equal")
+    axes.spines[["top", "right"]].set_visible(False)
+    plt.close(figure)
+    return figure
 
 
 def _noise_rows(result: FitResult) -> list[tuple[str, ...]]:
@@ -185,6 +236,8 @@ def _add_camera(page: Page, result: FitResult) -> None:
         "of the colour matrix.",
     )
     page.table(("parameter", "value", "standard error", "bounds"), parameter_rows(result))
+    if curve := _tone_figure(result):
+        page.figures([("tone curve on encoded levels, after exposure and colour matrix", curve)])
     if result.lens_px:
         rows = [(name, f"{value:+.2f}") for name, value in result.lens_px.items()]
         page.table(("displacement in the corner, of red and blue against green", "px"), rows)

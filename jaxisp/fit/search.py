@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
 from jaxisp.params import map_specs
 from jaxisp.pipeline import Params
+from jaxisp.recipe import Recipe
 
 STATISTICS = 0.004  # weight of each noise statistic in the last phase, against the loss of the one before
 FAR, STRESSED = (
@@ -50,6 +52,8 @@ class Options:
         fixed: parameters that are not fitted, beside `FIXED_NAMES`.
         free: those of `FIXED_NAMES` that are.
         starts: how many of `model.starts` are tried.
+        inserted: stages of the user's own.
+        camera: the TOML of a camera to start from; "" for none.
     """
 
     steps: int
@@ -60,11 +64,25 @@ class Options:
     fixed: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
     starts: int = 1
+    inserted: tuple[model.Inserted, ...] = ()
+    camera: str = ""
 
     @property
     def first(self) -> model.Design:
         demosaic = model.DEMOSAICKERS[0] if self.demosaic == "auto" else self.demosaic
-        return model.Design(demosaic, 0, self._median, self.place)
+        choices, _ = self.given
+        own = {
+            "demosaic": choices.get("demosaic") if self.demosaic == "auto" else None,
+            "passes": choices.get("passes") if self.demosaic == "auto" else None,
+            "median": choices.get("median") if self.median == "auto" else None,
+        }
+        plain = model.Design(demosaic, 0, self._median, self.place, inserted=self.inserted)
+        return dataclasses.replace(plain, **{name: v for name, v in own.items() if v is not None})
+
+    @functools.cached_property
+    def given(self) -> tuple[dict[str, Any], Params]:
+        """The choices and the parameters of the camera to start from; none without one."""
+        return model.of_camera(Recipe.from_toml(self.camera, "start")) if self.camera else ({}, {})
 
     @property
     def _median(self) -> str | None:
@@ -72,12 +90,12 @@ class Options:
 
     def problem(self, jpeg: Jpeg | None) -> Problem:
         """What is compiled, for files that state their chroma sampling, or for none."""
-        start = model.start()
+        start = model.start(self.inserted)
         flags = sharing(start, self.per_image, self.fixed, self.free)
         if jpeg:  # states it
             flags[model.SAMPLING] = map_specs(lambda spec, _: FIXED, flags[model.SAMPLING])
         own = encoder_of(jpeg)
-        return Problem(self.place, Layout.of(start, flags), own[0] if own else None)
+        return Problem(self.place, Layout.of(start, flags), own[0] if own else None, self.inserted)
 
     @property
     def designs(self) -> list[model.Design]:
@@ -138,7 +156,8 @@ class Search:
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
         self._done = 0
-        self.start = begin(self.views(self.options.first), self._stated_lens())
+        begun = begin(self.views(self.options.first), self._stated_lens())
+        self.start = model.start(self.options.inserted) | begun | self.options.given[1]
         if self.stated:
             self.start |= model.sampled(self.shots[0].jpeg)
         self.origin = self._origin(self.start)

@@ -43,7 +43,7 @@ def sharing(
     Args:
         params: the parameters.
         per_image: what each image has of its own.
-        fixed: what is not fitted, beside `FIXED_NAMES`; what is per image is.
+        fixed: what is not fitted (`freeze` of a fit), beside `FIXED_NAMES`; what is per image is.
         free: of `FIXED_NAMES`, what is fitted all the same.
 
     Raises:
@@ -53,7 +53,7 @@ def sharing(
     own, held, freed = (_expanded(names, params) for names in (per_image, fixed, free))
     both = sorted(".".join(name) for name in held & (own | freed))
     if both:
-        raise InputError(f"{', '.join(both)}: is fixed, and free or per image; expected one of these")
+        raise InputError(f"{', '.join(both)}: is frozen, and free or per image; expected one of these")
     kept = (_expanded(FIXED_NAMES, params) - freed | held) - own
     for flag, names in ((FIXED, kept), (IMAGE, own)):
         for stage, field in names:

@@ -60,6 +60,8 @@ class Case:
         unidentifiable: effects that are part of the base and that these pairs cannot show.
         outliers: pairs that were left out, since the base's tones do not carry over to them.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
+        reference_gap: what the base leaves on a reference set, where one was given: the floor is no lower.
+        about: further facts on the base, for report.json.
     """
 
     kind: str
@@ -79,6 +81,8 @@ class Case:
     unidentifiable: tuple[str, ...] = ()
     outliers: tuple[str, ...] = ()
     reference: np.ndarray | None = None
+    reference_gap: float | None = None
+    about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def split(self) -> Split:

@@ -6,7 +6,7 @@ floor is below that.
 
 import dataclasses
 
-from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, RAW_JPEG
+from jaxisp.gap.simulator.effects import AXES, CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -155,4 +155,5 @@ CRITERIA = {
         above_floor=True,
     ),
 }
+CRITERIA[JPEG_JPEG] = CRITERIA[RAW_JPEG]
 """By kind of pairs."""

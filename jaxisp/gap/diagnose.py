@@ -8,7 +8,9 @@ from typing import Any
 
 from jaxisp.errors import InputError
 from jaxisp.gap.base.clean_noisy import clean_case
+from jaxisp.gap.base.clean_reference import clean_case_on_reference
 from jaxisp.gap.base.raw_jpeg import raw_case
+from jaxisp.gap.base.two_jpegs import jpeg_case
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.downstream.ceiling import reducible
@@ -19,8 +21,8 @@ from jaxisp.gap.report.document import after, is_gap, report_of
 from jaxisp.gap.report.page import write_report
 from jaxisp.gap.report.pictures import example
 from jaxisp.gap.search.verdict import Found, searched
-from jaxisp.gap.simulator.effects import RAW_JPEG
-from jaxisp.io.datasets import open_dataset
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
+from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.recipe import Recipe
 
 
@@ -52,6 +54,7 @@ def diagnose(
     camera: Recipe | None = None,
     *,
     recipe: Recipe | None = None,
+    reference: str | Path | None = None,
     exclude: Sequence[str] = (),
     downstream: Downstream | None = None,
     criteria: Criteria | None = None,
@@ -61,7 +64,7 @@ def diagnose(
     """Diagnose the gap between a simulated camera and a real one's pictures.
 
     Args:
-        dataset: a folder of RAW+JPEG or clean+noisy pairs.
+        dataset: a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs.
         camera: the simulator, mosaic to encoded sRGB, as `jaxisp.fit` makes it; its parameters are
             believed. Default: fit a plain camera to the pairs. For clean+noisy pairs the
             curve and matrix that take the clean picture to its sensor are fitted, and the sensor's noise,
@@ -70,6 +73,9 @@ def diagnose(
             demosaicking. Its stages, their order and its constants are believed, tone and colour
             included. What it draws for each image it leaves open: that starts at its median and is fitted
             within the range of its prior, one value for all pairs.
+        reference: a folder of pairs of the same camera without the effect in question: its module off,
+            another setting or firmware. The base is fitted to these, and what it leaves of them is the floor.
+            Pairs of the same RAW files tell most.
         exclude: names of effects that are not tried.
         downstream: how to train small denoisers without and with the accepted effects, or with what comes
             nearest, measured on the held-out pairs; needs clean+noisy pairs, two scenes or more. Default:
@@ -87,10 +93,11 @@ def diagnose(
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
     data = open_dataset(dataset)
-    _check_kind(dataset, data.kind, recipe, downstream)
+    _check_kind(dataset, data.kind, camera, recipe, downstream)
+    others = None if reference is None else _opened_reference(reference, data.kind, camera, recipe)
     aligned = aligned_pairs(data)
     criteria = CRITERIA[data.kind] if criteria is None else criteria
-    case = _with_base(data.kind, aligned, camera, recipe, exclude, criteria, seed, tick)
+    case = _with_base(data.kind, aligned, camera, recipe, others, exclude, criteria, seed, tick)
     gap = case.gap()
     pictures = example(case, case.point, "before")
     found = searched(case, gap, tick)
@@ -109,17 +116,40 @@ def diagnose(
     return Diagnosis(report, pictures)
 
 
-def _check_kind(dataset: str | Path, kind: str, recipe: Recipe | None, downstream: Downstream | None) -> None:
+def _check_kind(
+    dataset: str | Path,
+    kind: str,
+    camera: Recipe | None,
+    recipe: Recipe | None,
+    downstream: Downstream | None,
+) -> None:
     """Raise InputError where pairs of this kind cannot be asked for that."""
+    if kind == JPEG_JPEG and (camera or recipe):
+        raise InputError(
+            f"{dataset}: holds two JPEGs of each scene, the first of which is the simulator's input; a "
+            "camera or a recipe is for RAW+JPEG or clean+noisy pairs"
+        )
     if kind == RAW_JPEG and recipe is not None:
         raise InputError(
             f"{dataset}: a recipe simulates clean+noisy pairs, these are RAW+JPEG; give a camera (--camera)"
         )
-    if kind == RAW_JPEG and downstream is not None:
+    if kind != CLEAN_NOISY and downstream is not None:
         raise InputError(
-            f"{dataset}: denoisers (--downstream) are measured against clean pictures, which RAW+JPEG pairs "
+            f"{dataset}: denoisers (--downstream) are measured against clean pictures, which these pairs "
             "do not have; give clean+noisy pairs"
         )
+
+
+def _opened_reference(folder: str | Path, kind: str, camera: Recipe | None, recipe: Recipe | None) -> Aligned:
+    """The pairs of a reference. Raises InputError where they cannot be one."""
+    if camera is not None or recipe is not None:
+        raise InputError("give a reference, or a camera or recipe: a base is fitted to one or is the other")
+    if kind == JPEG_JPEG:
+        raise InputError(f"{folder}: two JPEGs of a scene need no reference: the first of them is one")
+    data = open_dataset(folder)
+    if data.kind != kind:
+        raise InputError(f"{folder}: holds {data.kind} pairs, the set to be diagnosed {kind} pairs")
+    return aligned_pairs(data)
 
 
 def _with_base(
@@ -127,22 +157,32 @@ def _with_base(
     aligned: Aligned,
     camera: Recipe | None,
     recipe: Recipe | None,
+    reference: Aligned | None,
     exclude: Sequence[str],
     criteria: Criteria,
     seed: int,
     tick: Tick,
 ) -> Case:
     """The pairs with the base of their kind before them."""
-    # the tiles of one that is alone are told apart by masks
-    loaded = 2 * aligned.kept if len(aligned.kept) == 1 else aligned.kept
+    loaded = _doubled(aligned)
     if kind == RAW_JPEG:
-        return raw_case(loaded, camera, exclude, tick, criteria=criteria)
+        others = () if reference is None else _doubled(reference)
+        return raw_case(loaded, camera, exclude, tick, criteria=criteria, reference=others)
+    if kind == JPEG_JPEG:
+        return jpeg_case(loaded, exclude, tick, criteria=criteria)
+    if reference is not None:
+        return clean_case_on_reference(loaded, _doubled(reference), exclude, seed, tick, criteria=criteria)
     uncertain = [row["name"] for row in aligned.rows if not row["certain"]]
     simulator, is_camera = camera or recipe, camera is not None
     return clean_case(
         loaded, simulator, exclude, seed, tick,
         is_camera=is_camera, uncertain=uncertain, criteria=criteria,
     )  # fmt: skip
+
+
+def _doubled(aligned: Aligned) -> list[Loaded]:
+    """The pairs; one that is alone twice, as its tiles are told apart by masks."""
+    return 2 * aligned.kept if len(aligned.kept) == 1 else aligned.kept
 
 
 def _trained(case: Case, found: Found, how: Downstream, tick: Tick) -> dict[str, Any]:

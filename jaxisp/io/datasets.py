@@ -16,7 +16,7 @@ from jaxisp.io.orientation import orient, unorient
 from jaxisp.io.raw import RAW_SUFFIXES, Raw, read_raw
 from jaxisp.io.settings import Settings, SettingsFile, scene_and_frame
 
-RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
+RAW_JPEG, CLEAN_NOISY, JPEG_JPEG = "raw+jpeg", "clean+noisy", "jpeg+jpeg"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _CLEAN_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 _NOISY_SUFFIXES = (".png", ".npy", ".jpg", ".jpeg")
@@ -30,7 +30,7 @@ class Loaded:
         picture: (H, W, 3) float32 encoded, the camera's output; beside a RAW, turned as the RAW is stored.
         jpeg: the file it came from with its tables, pixels as stored; None for PNG and NPY.
         raw: the mosaic, or None.
-        clean: (H, W, 3) float32 in the encoding of `settings`, upright, or None.
+        clean: (H, W, 3) float32 in the encoding of `settings`, upright, or None; of two JPEGs the first.
         embedded: whether the JPEG is the one inside the RAW.
         iso: from the RAW, the JPEG or dataset.toml, in that order.
         clean_file: the file that the clean picture came from with its tables, where it is a JPEG that is
@@ -112,10 +112,10 @@ def open_dataset(folder: PathLike, *, kind: str | None = None) -> Dataset:
 
     Args:
         folder: the data set.
-        kind: "raw+jpeg" or "clean+noisy"; needed only where the folder holds pairs of both.
+        kind: "raw+jpeg", "clean+noisy" or "jpeg+jpeg"; needed only where the folder holds pairs of several.
 
     Raises:
-        InputError: no such folder, no pair in it, pairs of both kinds, or a bad dataset.toml.
+        InputError: no such folder, no pair in it, pairs of several kinds, or a bad dataset.toml.
     """
     folder = Path(folder)
     files = list_folder(folder)
@@ -124,13 +124,16 @@ def open_dataset(folder: PathLike, *, kind: str | None = None) -> Dataset:
     stems = _by_stem(files)
     settings = SettingsFile(folder)
     settings.check_stems(stems)
-    found = {RAW_JPEG: _raw_pairs(stems), CLEAN_NOISY: _clean_pairs(stems)}
+    twins, others = _twins(stems)
+    found = {RAW_JPEG: _raw_pairs(others), CLEAN_NOISY: _clean_pairs(others), JPEG_JPEG: (twins, [])}
     kind = kind or _kind(folder, found)
     if kind not in found:
-        raise InputError(f"{folder}: {kind!r} is no kind of data set, expected {RAW_JPEG} or {CLEAN_NOISY}")
+        raise InputError(f"{folder}: {kind!r} is no kind of data set, expected {', '.join(found)}")
     if not found[kind][0]:
         raise InputError(f"{folder}: holds no {kind} pair{_first(found[kind][1])}")
     pairs, problems = found[kind]
+    if kind == JPEG_JPEG:
+        problems = [(path, "has no other picture beside it") for path in _pictures(others)]
     settled = tuple(replace(p, settings=settings.of(p.name)) for p in pairs)
     return Dataset(folder, kind, settled, tuple(problems), settings.common)
 
@@ -147,7 +150,8 @@ def _kind(folder: Path, found: Mapping[str, Found]) -> str:
         raise InputError(f"{folder}: holds {counts}, expected one kind in a folder")
     lone = {path: why for _, problems in found.values() for path, why in problems}
     raise InputError(
-        f"{folder}: holds no pair of RAW and JPEG, or of clean and noisy{_first(list(lone.items()))}"
+        f"{folder}: holds no pair of RAW and JPEG, of clean and noisy, or of two JPEGs"
+        f"{_first(list(lone.items()))}"
     )
 
 
@@ -186,6 +190,23 @@ def _role(name: str) -> tuple[str, str] | None:
 
 def _pair(stem: str, output: Path, raw: Path | None = None, clean: Path | None = None) -> Pair:
     return Pair(stem, *scene_and_frame(stem), output, raw, clean, Settings())
+
+
+def _twins(stems: Mapping[str, Mapping[str, Path]]) -> tuple[list[Pair], dict[str, Mapping[str, Path]]]:
+    """Pairs of NAME.a.jpg and NAME.b.jpg, which have nothing else beside them; and all other stems."""
+    pairs: list[Pair] = []
+    others = dict(stems)
+    for stem in sorted(stems):
+        name, _, which = stem.rpartition(".")
+        both = [stems.get(f"{name}.{letter}", {}) for letter in "ab"]
+        if which == "a" and all(set(files) == {"jpeg"} for files in both):
+            pairs.append(_pair(name, both[1]["jpeg"], clean=both[0]["jpeg"]))
+            others = {s: files for s, files in others.items() if s not in (stem, f"{name}.b")}
+    return pairs, others
+
+
+def _pictures(stems: Mapping[str, Mapping[str, Path]]) -> list[Path]:
+    return [path for _, files in sorted(stems.items()) for path in files.values()]
 
 
 def _raw_pairs(stems: Mapping[str, Mapping[str, Path]]) -> Found:

@@ -84,8 +84,41 @@ def _read_lossless(path: Path, data: bytes, linear: bool) -> np.ndarray:
     raise InputError(f"{path}: is not a picture jaxisp reads ({', '.join(IMAGE_SUFFIXES)}), or a damaged one")
 
 
-def write_png(path: PathLike, image: np.ndarray) -> None:
+def read_as_stored(path: PathLike) -> tuple[np.ndarray, dict[str, bytes]]:
+    """Read a photograph in its own colour space, for a copy of the file with other pixels.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1], and what `write_png` takes to go with them: "exif" and "icc", where the
+        file has them. Pictures of more than 8 bits, and those whose colour space is stated otherwise, come as
+        `read_image` gives them, without either.
+
+    Raises:
+        InputError: what `read_image` raises.
+    """
+    image, path = read_image(path), Path(path)
+    if path.suffix.lower() == ".npy":
+        return image, {}
+    with silent_libraries(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with Image.open(path) as picture:
+            info, stored = picture.info, picture.mode == "RGB" and picture.format in ("JPEG", "MPO", "PNG")
+            if not stored or (picture.format == "PNG" and {"gamma", "chromaticity"} & set(info)):
+                return image, {}
+            pixels = np.asarray(picture, np.float32) / 255
+    kept = {"exif": info.get("exif"), "icc": info.get("icc_profile")}
+    return pixels, {name: value for name, value in kept.items() if value}
+
+
+def write_png(
+    path: PathLike, image: np.ndarray, *, exif: bytes | None = None, icc: bytes | None = None
+) -> None:
     """Write an (H, W, 3) encoded float image in [0, 1] (cut there, rounded to 8 bits), or a uint8 one.
+
+    Args:
+        path: of the file, written whole or not at all.
+        image: the pixels.
+        exif: a block of EXIF to go with them.
+        icc: a colour profile that they are in.
 
     Raises:
         InputError: NaN in the image, or the file cannot be written.
@@ -99,7 +132,7 @@ def write_png(path: PathLike, image: np.ndarray) -> None:
     """
     pixels = to_bytes(image, str(path))
     with atomic_write(path) as file:
-        Image.fromarray(pixels).save(file, "PNG")
+        Image.fromarray(pixels).save(file, "PNG", exif=exif or b"", icc_profile=icc)
 
 
 def _read_png(path: Path, data: bytes, linear: bool) -> np.ndarray:

@@ -59,7 +59,8 @@ class SettingsFile:
 
     def check_stems(self, stems: Iterable[str]) -> None:
         """Raise InputError where a table is the name of no file."""
-        known = {name for stem in stems for name in (stem, scene_and_frame(stem)[0])}
+        every = [name for stem in stems for name in (stem, re.sub(r"\.[ab]$", "", stem))]
+        known = {name for stem in every for name in (stem, scene_and_frame(stem)[0])}
         for stem in self._overrides:
             if stem not in known:
                 raise InputError(f"{self.source}: [{stem}] names no files of this folder")

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,14 +13,19 @@ from jaxisp.errors import InputError
 from jaxisp.models.dncnn import DnCNN
 from jaxisp.models.fast import FastNet
 from jaxisp.models.ffdnet import FFDNet
+from jaxisp.models.files import fill, read_arrays, save_network
 from jaxisp.models.inference import denoise
+from jaxisp.models.levels import LevelNet
 from jaxisp.models.n3net import N3Net
 from jaxisp.models.nafnet import NAFNet
 from jaxisp.models.unet import UNet
+from jaxisp.models.weighing import WeighNet
 
 MODELS: dict[str, Callable[..., nnx.Module]] = {
     "fast": FastNet,
     "unet": UNet,
+    "levelnet": LevelNet,
+    "weighnet": WeighNet,
     "dncnn6": functools.partial(DnCNN, depth=6),
     "dncnn17": DnCNN,
     "ffdnet": FFDNet,
@@ -54,6 +60,26 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
         raise InputError(f"model {name!r}: {error}") from None
 
 
+def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
+    """The network of a file that `save_network` wrote, and what is kept with it: "model", "options" and more.
+
+    Raises:
+        InputError: it cannot be read, or holds no network.
+    """
+    arrays, about = read_arrays(path)
+    if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
+        raise InputError(f"{path}: does not say which network it holds")
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
+    model = make_model(about["model"], **options)
+    fill(model, arrays, path)
+    return model, about
+
+
+def load_weights(model: nnx.Module, path: str | Path) -> None:
+    """Give a network the weights in a file of its kind. Raises InputError where they do not fit."""
+    fill(model, read_arrays(path)[0], path)
+
+
 def count_parameters(model: nnx.Module) -> int:
     """Learned numbers: batch norms' running averages do not count."""
     return sum(int(np.prod(p.shape)) for p in jax.tree.leaves(nnx.state(model, nnx.Param)))
@@ -64,10 +90,15 @@ __all__ = [
     "DnCNN",
     "FFDNet",
     "FastNet",
+    "LevelNet",
     "N3Net",
     "NAFNet",
     "UNet",
+    "WeighNet",
     "count_parameters",
     "denoise",
+    "load_weights",
     "make_model",
+    "read_network",
+    "save_network",
 ]

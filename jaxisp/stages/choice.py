@@ -12,7 +12,7 @@ from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
 from jaxisp.arrays.shares import weighted
-from jaxisp.cfa import Pattern, is_xtrans
+from jaxisp.cfa import Bayer, Pattern, is_xtrans
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import CameraRGB, EncodedRGB, Mosaic
 from jaxisp.options import one_of
@@ -21,16 +21,26 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic import (
     demosaic_ahd,
     demosaic_bilinear,
+    demosaic_dcb,
     demosaic_edge_aware,
     demosaic_hamilton_adams,
     demosaic_hibbard,
+    demosaic_lmmse,
     demosaic_malvar,
     demosaic_markesteijn,
     demosaic_menon,
     demosaic_normalized_convolution,
+    demosaic_ppg,
+    demosaic_rcd,
     demosaic_vng,
 )
 from jaxisp.stages.jpeg import Jpeg, Sampling, jpeg
+
+
+def demosaic_ahd_libraw(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
+    """`demosaic_ahd` as LibRaw has it."""
+    return demosaic_ahd(image, cfa=cfa, delta=1, variant="libraw")
+
 
 DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "bilinear": demosaic_bilinear,
@@ -41,6 +51,11 @@ DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {
     "hamilton-adams": demosaic_hamilton_adams,
     "vng": demosaic_vng,
     "edge-aware": demosaic_edge_aware,
+    "ahd-libraw": demosaic_ahd_libraw,
+    "rcd": demosaic_rcd,
+    "ppg": demosaic_ppg,
+    "dcb": demosaic_dcb,
+    "lmmse": demosaic_lmmse,
 }
 """Of Bayer mosaics."""
 XTRANS_DEMOSAICKERS: dict[str, Callable[..., jax.Array]] = {

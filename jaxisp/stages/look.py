@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
@@ -13,14 +14,19 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.linear import linear_call, sums
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip, safe_sqrt
+from jaxisp.arrays.shares import weighted
 from jaxisp.color import luma, rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB, EncodedRGB
+from jaxisp.options import Positive
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 SECTORS = 16
 _DARK = 0.05  # below this maximum of the channels saturation, which is mostly noise there, fades
 _DARKEST, _EDGE = 0.004, 1.0  # of linear light; stops squared of variance above which an edge is kept
+_STEP = 0.01  # lightness squared, likewise
+_LEVELS, _STRIDE = 256, 5  # of a histogram, and how many of them a table of its sums is linear between
 _EXACT = lax.Precision.HIGHEST
 _REDUCED = 4  # local means are taken of blocks of 4x4: they are wide, and 16 times cheaper there
 
@@ -204,10 +210,13 @@ class LocalToneMapping:
     detail: Leaf = param(0.0, (-0.8, 2.0), "1", doc="share of the difference to the surround that is added")
     sigma: Leaf = param(14.0, (4.0, 40.0), "px", log=True, doc="standard deviation of the surround")
     edges: Leaf = param(0.0, (0.0, 1.0), "share", doc="of an edge-aware surround, in place of the even one")
+    contrast: Leaf = param(0.0, (-0.8, 2.0), "1", doc="as detail, in lightness")
+    equalization: Leaf = param(0.0, (0.0, 1.0), "share", doc="of lightness equalised tile by tile")
+    clip: Leaf = param(3.0, (1.0, 20.0), "1", doc="of a tile's histogram, times its mean")
 
 
 @register
-def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
+def local_tone_mapping(params: LocalToneMapping, image: RGB, *, tiles: Positive = 8) -> RGB:
     """Lift dark surroundings, hold back bright ones, and raise local contrast.
 
     `y = x (m / k)**(-compression) + detail (Y - m)`, m the Gaussian mean of luma Y, no less than 0.004, and
@@ -215,17 +224,26 @@ def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
     `edges` of log2 m is a guided filter of log2 Y by itself, which keeps edges of several stops: an even
     surround has halos there.
 
+    Lightness, sRGB's encoding of the light, then gains `contrast (L - m_L) + equalization (E(L) - L)`, the
+    same in every channel. m_L is its surround, likewise even or edge-aware. E is contrast limited adaptive
+    histogram equalisation: the distribution function of each of tiles x tiles parts of the frame, its
+    density no more than `clip` times the mean and the excess spread evenly, bilinear between their middles.
+
     Args:
-        params: compression, adaptation, detail, sigma [px], edges.
+        params: compression, adaptation, detail, sigma [px], edges, contrast, equalization, clip.
         image: (H, W, 3), linear light or encoded, any range.
+        tiles: parts of the frame along each axis.
 
     Returns:
-        (H, W, 3) in the domain of the image, not clipped. Compression 0 and detail 0 leave it as it is.
+        (H, W, 3) in the domain of the image, not clipped. Compression, detail, contrast and equalization of
+        0 leave it as it is.
 
-    Gradient: exact.
+    Gradient: exact (counts of levels are constant but at single values).
 
     Source: Tumblin & Turk 1999; Reinhard et al. 2002 (key of the frame, surround); Durand & Dorsey 2002
-    (base and detail), here with a linear base or that of He, Sun & Tang 2010 (guided filter).
+    (base and detail), here with a linear base or that of He, Sun & Tang 2010 (guided filter); Zuiderveld
+    1994, "Contrast limited adaptive histogram equalization", here with tables that are linear in steps of 5
+    levels.
     """
     y = luma(*planes(image))
     mean = wide_blur(y, params.sigma)
@@ -234,14 +252,74 @@ def local_tone_mapping(params: LocalToneMapping, image: RGB) -> RGB:
     surround = surround + params.edges * (edge_aware - surround)
     key = params.adaptation * surround.mean() + (1 - params.adaptation) * math.log2(0.18)
     gain = jnp.exp2(-params.compression * (surround - key))
-    return image * gain[..., None] + (params.detail * (y - mean))[..., None]
+    mapped = image * gain[..., None] + (params.detail * (y - mean))[..., None]
+    y = luma(*planes(mapped))
+    change = weighted(_contrast, params.contrast, params.sigma, params.edges, y)
+    change = change + weighted(partial(_equalised, tiles), params.equalization, params.clip, y)
+    encoded = materialize(srgb_oetf(mapped))
+    # less its own inverse, so that no change is none
+    return mapped + (srgb_eotf(encoded + change[..., None]) - srgb_eotf(encoded))
 
 
-def _guided(plane: jax.Array, sigma: jax.Array) -> jax.Array:
+def _contrast(sigma: jax.Array, edges: jax.Array, y: jax.Array) -> jax.Array:
+    """Lightness less its surround."""
+    lightness = materialize(srgb_oetf(y))
+    surround = wide_blur(lightness, sigma)
+    surround = surround + edges * (_guided(lightness, sigma, _STEP) - surround)
+    return lightness - surround
+
+
+def _equalised(tiles: int, clip_at: jax.Array, y: jax.Array) -> jax.Array:
+    """Lightness equalised by tiles, less itself."""
+    lightness = materialize(srgb_oetf(y))
+    height, width = lightness.shape
+    rows, columns = (-(-n // tiles) for n in (height, width))
+    widths = ((0, rows * tiles - height), (0, columns * tiles - width))
+    whole = jnp.pad(lightness, widths, mode="edge").reshape(tiles, rows, tiles, columns)
+    density = _density(jnp.moveaxis(whole, 2, 1).reshape(tiles, tiles, rows * columns))
+    kept = jnp.minimum(density, clip_at / _LEVELS)
+    kept = kept + (1 - kept.sum(-1, keepdims=True)) / _LEVELS
+    tables = jnp.cumsum(kept, -1)[..., ::_STRIDE]
+    down, across = (
+        jnp.asarray(_between_middles(n, tiles, size), y.dtype)
+        for n, size in ((height, rows), (width, columns))
+    )
+    tables = jnp.matmul(down, tables.reshape(tiles, -1), precision=_EXACT).reshape(height, tiles, -1)
+    place = clip(lightness, 0, 1) * ((_LEVELS - 1) / _STRIDE)
+
+    def add(found: jax.Array, own: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        knot, table = own
+        level = jnp.matmul(table, across.T, precision=_EXACT)
+        return found + jnp.maximum(1 - jnp.abs(place - knot), 0) * level, None
+
+    knots = jnp.arange(tables.shape[-1], dtype=y.dtype)
+    found, _ = lax.scan(add, jnp.zeros_like(y), (knots, jnp.moveaxis(tables, -1, 0)))
+    return found - lightness
+
+
+def _density(lightness: jax.Array) -> jax.Array:
+    """(..., 256): the share of the last axis at each 8-bit level, by indicators of its two digits."""
+    level = jnp.round(255 * clip(lax.stop_gradient(lightness), 0, 1))
+    high = jnp.floor(level / 16)
+    digits = jnp.arange(16, dtype=level.dtype).reshape(*(1,) * level.ndim, 16)
+    first, second = (
+        (part[..., None] == digits).astype(lightness.dtype) for part in (high, level - 16 * high)
+    )
+    counts = jnp.matmul(jnp.swapaxes(first, -1, -2), second, precision=_EXACT)
+    return counts.reshape(*lightness.shape[:-1], _LEVELS) / lightness.shape[-1]
+
+
+def _between_middles(n: int, tiles: int, size: int) -> np.ndarray:
+    """(n, tiles): weights of tiles of that size at n places, linear between their middles."""
+    place = np.clip((np.arange(n) + 0.5) / size - 0.5, 0, tiles - 1)
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(tiles)), 0)
+
+
+def _guided(plane: jax.Array, sigma: jax.Array, edge: float = _EDGE) -> jax.Array:
     """A guided filter of (H, W) by itself with Gaussian windows."""
     mean = wide_blur(plane, sigma)
     variance = wide_blur((plane - mean) ** 2, sigma)
-    share = variance / (variance + _EDGE)
+    share = variance / (variance + edge)
     return wide_blur(share, sigma) * plane + wide_blur((1 - share) * mean, sigma)
 
 

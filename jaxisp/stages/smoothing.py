@@ -19,9 +19,13 @@ from jaxisp.domains import EncodedRGB, LinearRGB
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
 from jaxisp.stages.denoise.bilateral import bilateral_plane
+from jaxisp.stages.denoise.guided import guided_plane
 from jaxisp.stages.denoise.median import median_plane
+from jaxisp.stages.denoise.nonlocal_means import nonlocal_planes
+from jaxisp.stages.denoise.wavelet import core_plane
 
-Filter = Callable[[jax.Array], jax.Array]
+Filter = Callable[[jax.Array, jax.Array], jax.Array]
+"""Of a plane, and of the luma beside it."""
 
 
 def _local_linear(plane: jax.Array, deviation: float, radius: int = 2) -> jax.Array:
@@ -32,19 +36,28 @@ def _local_linear(plane: jax.Array, deviation: float, radius: int = 2) -> jax.Ar
     return mean + jnp.maximum(1 - deviation**2 / variance, 0) * (plane - mean)
 
 
+def _nonlocal(plane: jax.Array, luma: jax.Array, likeness: float) -> jax.Array:
+    return nonlocal_planes((plane,), luma, likeness, search=4, patch=1)[0]
+
+
 LUMA_FILTERS: tuple[Filter, ...] = (
-    lambda y: bilateral_plane(y, y, 1.5, 0.03, 2),
-    lambda y: bilateral_plane(y, y, 2.0, 0.1, 3),
-    lambda y: median_plane(y, "3x3"),
-    lambda y: _local_linear(y, 0.01),
-    lambda y: _local_linear(y, 0.03),
+    lambda y, _: bilateral_plane(y, y, 1.5, 0.03, 2),
+    lambda y, _: bilateral_plane(y, y, 2.0, 0.1, 3),
+    lambda y, _: median_plane(y, "3x3"),
+    lambda y, _: _local_linear(y, 0.01),
+    lambda y, _: _local_linear(y, 0.03),
+    lambda y, _: guided_plane(y, y, 0.03, 3),
+    lambda y, _: _nonlocal(y, y, 0.03),
+    lambda y, _: core_plane(y, 0.01, 1.0, levels=3, method="fixed"),
 )
 CHROMA_FILTERS: tuple[Filter, ...] = (
-    lambda c: gaussian_blur(c, 1.0, 3),
-    lambda c: gaussian_blur(c, 2.5, 8),
-    lambda c: median_plane(c, "3x3"),
-    lambda c: median_plane(c, "5x5"),
-    lambda c: bilateral_plane(c, c, 2.0, 0.05, 3),
+    lambda c, _: gaussian_blur(c, 1.0, 3),
+    lambda c, _: gaussian_blur(c, 2.5, 8),
+    lambda c, _: median_plane(c, "3x3"),
+    lambda c, _: median_plane(c, "5x5"),
+    lambda c, _: bilateral_plane(c, c, 2.0, 0.05, 3),
+    lambda c, y: guided_plane(c, y, 0.03, 4),
+    lambda c, _: core_plane(c, 0.02, 1.0, levels=4, method="fixed"),
 )
 
 
@@ -56,7 +69,8 @@ class LumaDenoising:
         (0.0,) * len(LUMA_FILTERS),
         (-0.5, 1.5),
         "1",
-        doc="bilateral (1.5 px, 0.03), bilateral (2 px, 0.1), median 3x3, local linear (0.01), (0.03)",
+        doc="bilateral (1.5 px, 0.03), bilateral (2 px, 0.1), median 3x3, local linear (0.01), (0.03), "
+        "guided (3 px, 0.03), non-local means (0.03), wavelets (0.01)",
     )
 
 
@@ -77,10 +91,10 @@ def luma_denoising(params: LumaDenoising, image: EncodedRGB) -> EncodedRGB:
     Gradient: exact.
 
     Source: Tomasi & Manduchi 1998; Lee 1980, "Digital image enhancement and noise filtering by use of
-    local statistics".
+    local statistics"; He, Sun & Tang 2010; Buades, Coll & Morel 2005; Donoho & Johnstone 1994.
     """
     y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
-    return interleaved(ycbcr_to_rgb_planes(_mixed(y, params.shares, LUMA_FILTERS), cb, cr))
+    return interleaved(ycbcr_to_rgb_planes(_mixed(y, y, params.shares, LUMA_FILTERS), cb, cr))
 
 
 @parameters
@@ -91,7 +105,8 @@ class ChromaDenoising:
         (0.0,) * len(CHROMA_FILTERS),
         (-0.5, 1.5),
         "1",
-        doc="Gaussian 1 px, Gaussian 2.5 px, median 3x3, median 5x5, bilateral (2 px, 0.05)",
+        doc="Gaussian 1 px, Gaussian 2.5 px, median 3x3, median 5x5, bilateral (2 px, 0.05), "
+        "guided by luma (4 px, 0.03), wavelets (0.02)",
     )
 
 
@@ -111,39 +126,48 @@ def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
 
     Gradient: exact.
 
-    Source: Jaroensri et al. 2019, section 3 (chroma is smoothed more than luma).
+    Source: Jaroensri et al. 2019, section 3 (chroma is smoothed more than luma); He, Sun & Tang 2010;
+    Donoho & Johnstone 1994.
     """
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
-    cb, cr = (_mixed(c, params.shares, CHROMA_FILTERS) for c in chroma)
+    cb, cr = (_mixed(c, y, params.shares, CHROMA_FILTERS) for c in chroma)
     return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
-def _mixed(plane: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:
+def _mixed(plane: jax.Array, luma: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:
     change = jnp.zeros_like(plane)
-    for k, smooth in enumerate(filters):
-        change = change + weighted(lambda p, smooth=smooth: smooth(p) - p, shares[k], plane)
+    for share, smooth in zip(shares, filters):
+        change = change + weighted(lambda y, p, smooth=smooth: smooth(p, y) - p, share, luma, plane)
     return plane + change
 
 
+_FLAT = 1e-10  # of white squared: keeps the share of no detail at all finite
 WIDTHS = (0.7, 1.5, 3.0)
 """Standard deviations of the masks of `sharpening` [px]."""
 
 
 @parameters
 class Sharpening:
-    """The amount of each width."""
+    """The amount of each width, and which detail it is for."""
 
     amounts: Leaf = param((0.0,) * len(WIDTHS), (-0.5, 4.0), "1", doc="of masks of 0.7, 1.5 and 3 px")
+    threshold: Leaf = param(
+        0.0, (0.0, 0.1), "level", doc="detail of this size is added by half, less by less"
+    )
+    limit: Leaf = param(
+        0.0, (0.0, 100.0), "1/level", doc="one over the size beyond which less than half is; 0 adds all"
+    )
 
 
 @register
 def sharpening(params: Sharpening, image: EncodedRGB) -> EncodedRGB:
-    """Unsharp masks of three widths on luma.
+    """Unsharp masks of three widths on luma, cored and limited.
 
-    `y = x + sum_k amount_k (Y - G_k(Y))`, G_k a Gaussian; the same is added to every channel.
+    `y = x + sum_k amount_k d_k d_k**2 / (d_k**2 + threshold**2) / (1 + (limit d_k)**2)` with
+    `d_k = Y - G_k(Y)`, G_k a Gaussian; the same is added to every channel.
 
     Args:
-        params: amounts.
+        params: amounts; threshold and limit, which leave plain masks where they are 0.
         image: (H, W, 3) encoded, any range.
 
     Returns:
@@ -151,15 +175,21 @@ def sharpening(params: Sharpening, image: EncodedRGB) -> EncodedRGB:
 
     Gradient: exact.
 
-    Source: Polesel, Ramponi & Mathews 2000; see `unsharp_mask`.
+    Source: Polesel, Ramponi & Mathews 2000; see `unsharp_mask`. Coring and a limit of the halo are what
+    cameras and converters commonly add.
     """
     y = luma(*planes(image))
-    blurs = [partial(_gaussian, s) for s in WIDTHS]
-    return image + (y - _mixed(y, params.amounts, blurs))[..., None]
+    change = jnp.zeros_like(y)
+    for amount, sigma in zip(params.amounts, WIDTHS):
+        add = partial(_detail, sigma)
+        change = change + weighted(add, amount, params.threshold, params.limit, y)
+    return image + change[..., None]
 
 
-def _gaussian(sigma: float, plane: jax.Array) -> jax.Array:
-    return gaussian_blur(plane, sigma, math.ceil(3 * sigma))
+def _detail(sigma: float, threshold: jax.Array, limit: jax.Array, plane: jax.Array) -> jax.Array:
+    detail = materialize(plane - gaussian_blur(plane, sigma, math.ceil(3 * sigma)))
+    square = detail * detail + _FLAT
+    return detail * (square / (square + threshold * threshold)) / (1 + limit * limit * square)
 
 
 STEPS = ((0, 1), (1, 1), (1, 0), (1, -1))

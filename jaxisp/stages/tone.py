@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxisp.arrays.linear import pointwise
 from jaxisp.arrays.planes import planes
-from jaxisp.arrays.safe_math import clip
+from jaxisp.arrays.safe_math import clip, straight_through
 from jaxisp.color import luma
 from jaxisp.domains import RGB
 from jaxisp.options import one_of
@@ -258,3 +258,57 @@ def highlight_rolloff(params: HighlightRolloff, image: RGB, *, on: Which = "chan
         return jnp.where(x > start, shoulder, x)
 
     return _apply(curve, image, on, params.start, params.white)
+
+
+@register(reach=0)
+def smoothstep(image: RGB) -> RGB:
+    """A cubic contrast curve that is flat at black and white.
+
+    `y = 3 x**2 - 2 x**3`, x clipped to [0, 1].
+
+    Args:
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image, in [0, 1].
+
+    Gradient: exact.
+
+    Source: Brooks et al. 2019, "Unprocessing Images for Learned Raw Denoising", section 3.5.
+    """
+    return pointwise(_smoothstep, (image,))
+
+
+def _smoothstep(x: jax.Array) -> jax.Array:
+    x = clip(x, 0, 1)
+    return x * x * (3 - 2 * x)
+
+
+@register(reach=0)
+def inverse_smoothstep(image: RGB) -> RGB:
+    """Undo `smoothstep`.
+
+    `y = 1/2 - sin(asin(1 - 2 x) / 3)`, x clipped to [0, 1].
+
+    Args:
+        image: (H, W, 3), any range.
+
+    Returns:
+        (H, W, 3) in the domain of the image, in [0, 1].
+
+    Gradient: surrogate. Exact from 0.001 to 0.999, 0 beyond: at black and white the slope is infinite.
+
+    Source: Brooks et al. 2019, "Unprocessing Images for Learned Raw Denoising", section 3.5.
+    """
+
+    def curve(x: jax.Array) -> jax.Array:
+        return 0.5 - jnp.sin(jnp.arcsin(1 - 2 * x) / 3)
+
+    def inverse(x: jax.Array) -> jax.Array:
+        value = jax.lax.stop_gradient(curve(jnp.clip(x, 0, 1)))
+        return straight_through(value, curve(clip(x, _STEEP, 1 - _STEEP)))
+
+    return pointwise(inverse, (image,))
+
+
+_STEEP = 1e-3

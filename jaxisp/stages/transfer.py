@@ -182,3 +182,44 @@ def prophoto_eotf(image: EncodedProPhotoRGB) -> ProPhotoRGB:
         return jnp.where(x < 1 / 32, x / 16, _power(x, 1.8, 1 / 32))
 
     return _odd(curve, image)
+
+
+_DARKEST = 1e-8
+
+
+@register(reach=0)
+def gamma22_oetf(image: LinearRGB) -> EncodedRGB:
+    """Linear light to an encoding by the power 1/2.2, as papers have it that leave out sRGB's straight part.
+
+    `y = max(x, 1e-8)**(1/2.2)`.
+
+    Args:
+        image: (H, W, 3) linear light, any range.
+
+    Returns:
+        (H, W, 3) encoded, not clipped above.
+
+    Gradient: exact.
+
+    Source: Brooks et al. 2019, "Unprocessing Images for Learned Raw Denoising", section 3.5.
+    """
+    return elementwise(lambda x: _power(x, 1 / 2.2, _DARKEST), image)
+
+
+@register(reach=0)
+def gamma22_eotf(image: EncodedRGB) -> LinearRGB:
+    """Undo `gamma22_oetf`.
+
+    `y = max(x, 1e-8)**2.2`.
+
+    Args:
+        image: (H, W, 3) encoded, any range.
+
+    Returns:
+        (H, W, 3) linear light, not clipped above.
+
+    Gradient: exact.
+
+    Source: Brooks et al. 2019, "Unprocessing Images for Learned Raw Denoising", section 3.5.
+    """
+    return elementwise(lambda x: _power(x, 2.2, _DARKEST), image)

@@ -1,9 +1,10 @@
 """Train denoisers on pairs degraded on the fly, apply them, and measure them."""
 
 from jaxisp.data.loader import degrader
+from jaxisp.models.apply import Denoiser, denoise_files
 from jaxisp.train.classical import Classical, noise_level
 from jaxisp.train.config import TrainConfig
-from jaxisp.train.denoiser import Denoiser, denoise_files, load_denoiser
+from jaxisp.train.denoiser import load_denoiser
 from jaxisp.train.devices import make_mesh, replicate, spread
 from jaxisp.train.evaluate import AlignedPair, align_dataset, evaluate_dataset, evaluate_pairs
 from jaxisp.train.optimizer import make_optimizer, schedule

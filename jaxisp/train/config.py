@@ -17,6 +17,7 @@ _CHOICES = {
     "schedule": ("cosine", "staircase", "constant"),
     "optimizer": ("adam", "amsgrad"),
     "light": ("encoded", "linear"),
+    "target": ("photo", "camera"),
 }
 
 
@@ -46,6 +47,10 @@ class TrainConfig:
         ema: decay of the averaged weights, which are those validated and used; 0: the weights themselves.
         loss: "l1", "charbonnier" (1e-3), "smooth_l1" (beta 1) or "l2".
         light: what the network sees, "encoded" sRGB or "linear" light.
+        target: what it is to give, the clean "photo", or what the "camera" would show of it without noise.
+        pool: patches that are degraded once, before the first step, and used in each epoch from then on, each
+            time flipped and turned otherwise; 0: each patch is degraded when it is used.
+        start: a file of weights (`jaxisp.models.weights`) that training starts from; "": fresh ones.
         bf16: compute the network in bfloat16, weights in float32.
         seed: of everything that is drawn.
         log_every: steps between lines of the log.
@@ -74,6 +79,9 @@ class TrainConfig:
     ema: float = 0.999
     loss: str = "l1"
     light: str = "encoded"
+    target: str = "photo"
+    pool: int = 0
+    start: str = ""
     bf16: bool = False
     seed: int = 0
     log_every: int = 20
@@ -88,11 +96,14 @@ class TrainConfig:
                       "checkpoint_every", "keep"):  # fmt: skip
             if getattr(self, field) < 1:
                 raise InputError(f"{field} = {getattr(self, field)}: expected at least 1")
+        # as TOML gives them back
+        options = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_options.items()}
+        object.__setattr__(self, "model_options", options)
         if not 0 < self.lr < 10:
             raise InputError(f"lr = {self.lr}: expected a learning rate above 0, as 1e-3")
         if not 0 <= self.ema < 1:
             raise InputError(f"ema = {self.ema}: expected a decay from 0 (no average) to below 1")
-        for field in ("warmup", "weight_decay", "clip_norm", "seed"):
+        for field in ("warmup", "weight_decay", "clip_norm", "seed", "pool"):
             if getattr(self, field) < 0:
                 raise InputError(f"{field} = {getattr(self, field)}: expected 0 or more")
 

@@ -8,6 +8,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.sources import CleanPatches
 from jaxisp.errors import InputError
+from jaxisp.train.pool import PairPool
 from jaxisp.train.step import AXIS
 
 
@@ -43,3 +44,10 @@ def spread(mesh: Mesh, source: CleanPatches, indices: range) -> jax.Array:
         return source.batch(indices[index[0]])
 
     return jax.make_array_from_callback((len(indices), source.size, source.size, 3), sharding, rows)
+
+
+def spread_pairs(mesh: Mesh, pool: PairPool, indices: range) -> tuple[jax.Array, jax.Array]:
+    """The (noisy, target) pairs of these global indices, 8 bits each, as two batches."""
+    pairs = pool.batch(indices)
+    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
+    return jax.device_put(pairs[:, 0], sharding), jax.device_put(pairs[:, 1], sharding)

@@ -13,8 +13,8 @@ from jaxisp.recipe import Recipe
 from jaxisp.train.config import TrainConfig
 
 _LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
-CONFIG, RECIPE, CARD = "config.toml", "recipe.toml", "MODEL_CARD.md"
-_WRITTEN = (CARD, "log.csv", "validation.csv", "checkpoints", "tensorboard")
+CONFIG, RECIPE, CARD, POOL = "config.toml", "recipe.toml", "MODEL_CARD.md", "pool"
+_WRITTEN = (CARD, "log.csv", "validation.csv", "checkpoints", "tensorboard", POOL)
 
 
 def check_folder(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:

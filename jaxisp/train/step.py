@@ -10,10 +10,10 @@ import optax
 from flax import nnx
 from jax.sharding import Mesh
 
-from jaxisp.data.loader import degrader
 from jaxisp.losses import charbonnier
 from jaxisp.recipe import Recipe
 from jaxisp.stages.transfer import srgb_eotf
+from jaxisp.train.target import pair_maker
 
 AXIS = "batch"
 """The mesh axis over which a batch is spread."""
@@ -45,7 +45,7 @@ class State(NamedTuple):
     ema: Any
 
 
-Step = Callable[[State, jax.Array, Any], tuple[State, dict[str, jax.Array]]]
+Step = Callable[[State, Any, Any], tuple[State, dict[str, jax.Array]]]
 
 
 def split_model(model: nnx.Module, *, train: bool) -> tuple[Any, Any, Any]:
@@ -83,12 +83,14 @@ def make_step(
     loss: str | Callable[[jax.Array], jax.Array] = "l1",
     ema: float | None = None,
     light: str = "encoded",
+    target: str = "photo",
     mesh: Mesh | None = None,
 ) -> Step:
     """Compile a training step that degrades its clean batch on the device.
 
     Args:
-        model: any nnx network that maps (N, H, W, 3) to the same; only its structure is used here.
+        model: any nnx network that maps (N, H, W, 3) to the same; only its structure is used here. One with
+            an `objective(noisy, target, penalty)` says itself what is to be least.
         recipe: takes and gives encoded sRGB.
         optimizer: an optax transformation.
         key: root of the degradation; sample i draws from `fold_in(key, i)`.
@@ -96,25 +98,32 @@ def make_step(
         ema: decay of the averaged weights; None or 0 for none. It is smaller in the first steps,
             `(1 + step) / (10 + step)`, so that the average forgets the initial weights.
         light: "encoded" or "linear": what the network sees and the loss is taken in.
+        target: "photo", the clean picture, or "camera", what the recipe makes of it without noise.
         mesh: devices over which batches are spread (axis "batch"); state on it is replicated.
 
     Returns:
-        `step(state, clean, index) -> (state, metrics)`: clean (N, H, W, 3) encoded sRGB; index, of
-        its first sample among all, int32. The state that it is given is used up (donated). Metrics: loss and
-        grad_norm, on the device.
+        `step(state, clean, index) -> (state, metrics)`: clean (N, H, W, 3) encoded sRGB, or (noisy, target)
+        that were degraded before, 8 bits each; index, of its first sample among all, int32. The state that
+        it is given is used up (donated). Metrics: loss and grad_norm, on the device.
     """
     graph, _, _ = split_model(model, train=True)
     penalty = LOSSES[loss] if isinstance(loss, str) else loss
-    degrade = degrader(recipe, key, mesh)
+    pairs = pair_maker(recipe, key, target, mesh)
 
     def objective(params: Any, stats: Any, noisy: jax.Array, clean: jax.Array) -> tuple[jax.Array, Any]:
         network = nnx.merge(graph, params, stats)
-        value = penalty(network(noisy) - clean).mean()
+        if hasattr(network, "objective"):
+            value = network.objective(noisy, clean, penalty)
+        else:
+            value = penalty(network(noisy) - clean).mean()
         return value, nnx.to_pure_dict(nnx.state(network, nnx.Not(nnx.Param)))
 
     @functools.partial(jax.jit, donate_argnums=0)
-    def step(state: State, clean: jax.Array, index: Any) -> tuple[State, dict[str, jax.Array]]:
-        noisy = degrade(clean, index + jnp.arange(len(clean)))
+    def step(state: State, batch: Any, index: Any) -> tuple[State, dict[str, jax.Array]]:
+        if isinstance(batch, tuple):
+            noisy, clean = (levels.astype(jnp.float32) / 255 for levels in batch)
+        else:
+            noisy, clean = pairs(batch, index + jnp.arange(len(batch)))
         if light == "linear":
             noisy, clean = srgb_eotf(noisy), srgb_eotf(clean)
         differentiate = jax.value_and_grad(objective, has_aux=True)

@@ -18,16 +18,18 @@ from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
 from jaxisp.io.locks import locked
-from jaxisp.models import count_parameters, make_model
+from jaxisp.models import count_parameters, load_weights, make_model
 from jaxisp.recipe import Recipe, check_photographs, check_traces
 from jaxisp.recipes import find_recipe
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
-from jaxisp.train.devices import make_mesh, replicate, spread
-from jaxisp.train.folder import begin, check_folder, write_card
+from jaxisp.train.devices import make_mesh, replicate, spread, spread_pairs
+from jaxisp.train.folder import POOL, begin, check_folder, write_card
 from jaxisp.train.logs import Log
 from jaxisp.train.optimizer import make_optimizer, schedule
+from jaxisp.train.pool import PairPool
 from jaxisp.train.step import State, init_state, make_step
+from jaxisp.train.target import pair_maker
 from jaxisp.train.validation import make_validation
 
 Tick = Callable[[int, int, str], Any]
@@ -124,16 +126,18 @@ class _Run:
         self.source = CleanPatches(
             training, config.patch, per_image=config.per_image, seed=config.seed, fresh=config.fresh_crops
         )
-        self.validate = make_validation(self.model, recipe, config, held_out, self.mesh)
+        self.pairs = jax.jit(pair_maker(recipe, degrade_key(config.seed), config.target, self.mesh))
+        self.validate = make_validation(self.model, self.pairs, config, held_out, self.mesh)
         epoch_steps = max(1, len(self.source) // config.batch)
         optimizer = make_optimizer(config, epoch_steps)
         self.lr = schedule(config, epoch_steps)
         self.step = make_step(
             self.model, recipe, optimizer, key=degrade_key(config.seed), loss=config.loss,
-            ema=config.ema, light=config.light, mesh=self.mesh,
+            ema=config.ema, light=config.light, target=config.target, mesh=self.mesh,
         )  # fmt: skip
         if lead:
             begin(run, config, recipe)  # not before its photographs were found, and before all other files
+        self.pool = self._make_pool() if config.pool else None
         self.checkpoints = Checkpoints(run, config.keep)
         fresh = replicate(self.mesh, init_state(self.model, optimizer, ema=config.ema))
         self.state = self.checkpoints.restore(fresh) if self.checkpoints.steps() else fresh
@@ -158,9 +162,26 @@ class _Run:
             self._save(validate=False)
         return self._finish(done)
 
-    def _batch(self, done: int) -> jax.Array:
+    def _make_pool(self) -> PairPool:
+        if jax.process_count() > 1:
+            raise InputError("a pool is made and read by one process: leave it out with several")
+        config = self.config
+
+        def make(indices: range) -> tuple[jax.Array, jax.Array]:
+            clean = spread(self.mesh, self.source, indices)
+            return self.pairs(clean, np.arange(indices.start, indices.stop, dtype=np.int32))
+
+        return PairPool(
+            self.run / POOL, config.patch, config.pool, make, seed=config.seed, batch=config.batch,
+            tick=self.tick,
+        )  # fmt: skip
+
+    def _batch(self, done: int) -> Any:
         first = done * self.config.batch
-        return spread(self.mesh, self.source, range(first, first + self.config.batch))
+        indices = range(first, first + self.config.batch)
+        if self.pool is not None:
+            return spread_pairs(self.mesh, self.pool, indices)
+        return spread(self.mesh, self.source, indices)
 
     def _stopping(self, done: int) -> bool:
         """Whether a signal came; several processes agree on it where they log."""
@@ -180,7 +201,7 @@ class _Run:
         rows = [
             {
                 "step": step,
-                "epoch": (step - 1) * self.config.batch // len(self.source),
+                "epoch": (step - 1) * self.config.batch // len(self.pool or self.source),
                 "loss": float(m["loss"]),
                 "grad_norm": float(m["grad_norm"]),
                 "lr": float(self.lr(step - 1)),
@@ -242,7 +263,10 @@ def build_model(config: TrainConfig) -> nnx.Module:
     if config.bf16:
         options["dtype"] = jax.numpy.bfloat16
     options = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
-    return make_model(config.model, seed=config.seed, **options)
+    model = make_model(config.model, seed=config.seed, **options)
+    if config.start:
+        load_weights(model, config.start)
+    return model
 
 
 def _split(images: CleanImages, held_out: int) -> tuple[CleanImages, CleanImages]:

@@ -253,7 +253,7 @@ def test_unknown_choices_are_refused(own):
         fit_examples([own[1]], median="7x7")
 
 
-@pytest.mark.parametrize("option", ["fixed", "free", "per_image"])
+@pytest.mark.parametrize("option", ["freeze", "free", "per_image"])
 def test_a_name_that_is_misspelt_is_refused_before_anything_is_read(option):
     def load():
         raise AssertionError("it was read")
@@ -273,7 +273,7 @@ def test_what_is_fixed_is_so_beside_what_is_anyway():
     assert flags["denoise_encoding"].gamma == FIXED, "it is by itself"
     assert flags["geometric_distortion"].k2 == flags["bilateral"].luma_sigma_space == CAMERA
     assert flags["exposure"].exposure_ev == IMAGE
-    with pytest.raises(InputError, match=r"saturation\.amount: is fixed, and free or per image"):
+    with pytest.raises(InputError, match=r"saturation\.amount: is frozen, and free or per image"):
         sharing(start, per_image=["colour"], fixed=["saturation"])
 
 

@@ -6,8 +6,9 @@ import pytest
 
 from jaxisp.cli import fit as command
 from jaxisp.fit.curvature import KNOWN, Identified
+from jaxisp.fit.model import tone
 from jaxisp.fit.report import doubts, in_common, parameter_rows, phases, without, write_report
-from jaxisp.fit.result import FitResult
+from jaxisp.fit.result import FitResult, PairResult
 from jaxisp.pipeline import Chain, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages.optics import GeometricDistortion, LateralChromaticAberration
@@ -47,7 +48,8 @@ def made(**more):
             *(found(f"zone_curve.offsets[{i}]", 0, e) for i, e in enumerate((0.01, 0.3, 0.02))),
         ],
     }
-    return FitResult(Recipe(chain, prior, "fitted"), [], seconds=1.0, **(given | more))
+    given |= {"camera": Recipe(chain, prior, "fitted"), "pairs": []}
+    return FitResult(seconds=1.0, **(given | more))
 
 
 def row_of(result, name):
@@ -65,7 +67,7 @@ def test_a_vector_of_which_nothing_is_identified_is_marked_once():
     assert doubts(result) == "Not to be believed: not identified by these pairs: zone_curve.offsets."
 
 
-def test_the_page_begins_with_what_is_not_to_be_believed(tmp_path):
+def test_the_page_says_what_is_not_to_be_believed_after_the_result(tmp_path):
     result = made(at_bound=["geometric_distortion.k1"])
     said = (
         "Not to be believed: not identified by these pairs: zone_curve.offsets[1]; "
@@ -73,7 +75,8 @@ def test_the_page_begins_with_what_is_not_to_be_believed(tmp_path):
     )
     assert doubts(result) == said
     text = write_report(result, tmp_path).read_text()
-    assert said in text[: text.index("<h2>")]
+    assert said in text[text.index("What not to rely on") :]
+    assert "0 pairs in 1 s" in text[: text.index("<h2>")] and said not in text[: text.index("<h2>")]
     assert row_of(result, "geometric_distortion.k1")[1] == "0.00018 (at a bound)"
     assert doubts(made(identified=[])) == ""
 
@@ -154,3 +157,28 @@ def test_each_phase_has_a_panel_with_its_own_scale(tmp_path, monkeypatch):
     assert first.get_yscale() == "log" and last.get_yscale() == "linear"
     assert first.get_ylim()[1] > 0.9 and 0.7 < last.get_ylim()[0] < last.get_ylim()[1] < 1.1
     assert list(last.lines[0].get_xdata()) == [9, 10, 11] and last.get_title() == "last 1"
+
+
+def pair(**figures):
+    flat = np.full((8, 8, 3), 0.5, np.float32)
+    levels = [{"level": x, "blocks": 9, "std": [0.01 * x, 0.012 * x], "lag1": [0.2, 0.3]} for x in (0.2, 0.7)]
+    noise = {kind: {"by_level": levels} for kind in ("luma", "chroma")}
+    return PairResult(
+        "a", 39.0, 0.96, 38.5, 0.95, (0.0, 0.1), flat, flat, flat, **({"noise": noise} | figures)
+    )
+
+
+def test_the_page_opens_with_its_result_and_draws_noise_and_tone(tmp_path):
+    plain = write_report(made(pairs=[pair(noise={})]), tmp_path).read_text()
+    lead = plain[: plain.index("<h2>")]
+    assert "38.50 dB, SSIM 0.9500 held out" in lead and "1 pair in 1 s" in lead
+    camera = Recipe(Chain((*made().camera.chain.nodes[:2], *tone().nodes), "camera"), {}, "fitted")
+    drawn = write_report(made(pairs=[pair()], camera=camera), tmp_path).read_text()
+    assert drawn.count("data:image/png") == plain.count("data:image/png") + 3
+    assert "tone curve on encoded levels" in drawn and "lag-1 autocorrelation of the noise by" in drawn
+
+
+def test_pictures_enlarge_without_a_script(tmp_path):
+    text = write_report(made(pairs=[pair()]), tmp_path).read_text()
+    assert text.count('<input type="checkbox" class="zoom"') == text.count("<img ") > 0
+    assert "<script" not in text

@@ -7,7 +7,7 @@ import pytest
 
 from jaxisp.gap import EFFECTS
 from jaxisp.gap.criteria import CRITERIA
-from jaxisp.gap.simulator.effects import AXES, BOTH, SITES
+from jaxisp.gap.simulator.effects import AXES, BOTH, JPEG_JPEG, SITES
 
 STATUSES = {"accepted", "rejected", "absorbed", "not_identifiable"}
 
@@ -15,7 +15,7 @@ STATUSES = {"accepted", "rejected", "absorbed", "not_identifiable"}
 def keeps_the_schema(report):
     json.dumps(report, allow_nan=False)
     gap, causes = report["gap"], report["causes"]
-    assert report["schema"] == 1 and report["kind"] in BOTH and report["seconds"] > 0
+    assert report["schema"] == 1 and report["kind"] in (*BOTH, JPEG_JPEG) and report["seconds"] > 0
     assert {"stages", "fitted", "absorbed"} <= set(report["base"])
     fit, held_out = (report["pairs"][half] for half in ("fit", "held_out"))
     assert fit and held_out and not set(fit) & set(held_out)

@@ -78,9 +78,11 @@ _WAYS = {
     "lateral_chromatic_aberration": ("sharpness",),
     "resampling": ("shares",),
     "chroma_subsampling": ("sampled", "repeated"),
-    "local_tone_mapping": ("sigma", "edges"),
+    "local_tone_mapping": ("sigma", "edges", "clip"),
+    "sharpening": ("threshold", "limit"),
 }
-"""Of what another move does."""
+"""Of what another move does: the first, unless it is named below."""
+_DONE_BY = {"clip": "equalization"}
 
 
 def test_every_move_shows(model):
@@ -93,11 +95,23 @@ def test_every_move_shows(model):
         z = np.zeros(len(model.coordinates))
         start = before
         if coordinate.move.field in _WAYS.get(coordinate.node, ()):
-            first = model.indices([coordinate.node])[0]
+            own = model.indices([coordinate.node])
+            done_by = _DONE_BY.get(coordinate.move.field, model.coordinates[own[0]].move.field)
+            first = next(k for k in own if model.coordinates[k].move.field == done_by)
             z[first] = min(0.5, model.ranges[1, first])
             start = model.render(z, light)
         z[i] = step
         assert np.abs(model.render(z, light) - start).max() > 1e-4, coordinate
+
+
+def test_a_name_does_not_contradict_its_parameters():
+    """A negative share of a smoothing filter sharpens, a negative amount of a mask smooths."""
+    for name, field in (
+        ("luma_denoising", "shares"),
+        ("chroma_denoising", "shares"),
+        ("sharpening", "amounts"),
+    ):
+        assert all(m.low >= 0 for m in EFFECTS[name].moves if m.field == field)
 
 
 def test_a_user_adds_an_effect_of_their_own():

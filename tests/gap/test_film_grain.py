@@ -56,6 +56,28 @@ def test_noise_is_grain(pictures):
     assert trial.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.15)
 
 
+def noisy(seed=3):
+    """Uniform noise of a sensor in a smooth picture, demosaicked by a filter, and by a choice of two."""
+    rng = np.random.default_rng(seed)
+    wide = gaussian_filter(rng.standard_normal((4, 136, 136, 3)), (0, 16, 16, 0))
+    noise = 0.02 * rng.standard_normal(wide.shape)
+    across, down = (gaussian_filter(noise, (0, *size, 0)) for size in ((0.3, 1.0), (1.0, 0.3)))
+    chosen = np.where(
+        np.abs(across).sum(-1, keepdims=True) < np.abs(down).sum(-1, keepdims=True), across, down
+    )
+    smooth = 0.5 + 0.1 * wide / wide.std()
+    return smooth + 0.5 * (across + down), smooth + chosen
+
+
+def test_another_demosaicker_is_not_grain():
+    """Its error is as fine as grain and no filter of the picture predicts it, but it grows with the noise."""
+    shown, filed = noisy()
+    assert with_grain([], found(shown, filed), 0.0, RAW) == []
+    assert found(shown, filed).closed < 0.15
+    grainy = found(shown, grain(filed))
+    assert grainy.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.2)
+
+
 @pytest.mark.parametrize("filed", [posterised, dithered, greyed])
 def test_what_follows_the_picture_is_not(pictures, filed):
     trial = found(pictures, filed(pictures))

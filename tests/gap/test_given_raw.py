@@ -15,6 +15,7 @@ from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import model as fitted
 from jaxisp.gap import EFFECTS
+from jaxisp.gap.base.given_light import MATRIX, TONE
 from jaxisp.gap.base.raw_jpeg import camera_model, raw_case
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.search.verdict import searched
@@ -170,11 +171,11 @@ def searched_for(folder, *effects):
 def test_effects_that_are_searched_for_are_refitted_beside_a_camera(tmp_path, effect):
     """They alone are tried: no number is fitted by its derivative."""
     found, case, _ = searched_for(write(tmp_path, lambda m: np.minimum(m, 0.55)), effect)
-    assert case.point.model.base == () and case.given == "camera plain"
+    assert {c.node for c in case.point.model.base} == {TONE, MATRIX} and case.given == "camera plain"
     if effect == "highlight_clipping":
         ((cause, _),) = found.causes
         white = case.point.model.params(cause.z)["highlight_clipping"].white
-        assert white == pytest.approx(0.55, abs=0.02) and cause.closed > 0.9
+        assert white == pytest.approx(0.55, abs=0.03) and cause.closed > 0.75
 
 
 @pytest.mark.parametrize("power", [1.0, 1.5])

@@ -13,13 +13,15 @@ from jaxisp.gap.base.raw_jpeg import camera_model
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.report.record import base_row
+from jaxisp.gap.simulator.choices import with_choice
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import Variant, build, plain_camera, plain_freedom, rooted
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.raw import Raw
 from jaxisp.io.settings import Settings
+from jaxisp.pipeline import Chain, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
-from jaxisp.stages.choice import DEMOSAICKERS
+from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 from tests.gap.scenes import scenes
 
 pytestmark = pytest.mark.optimised
@@ -34,6 +36,19 @@ def test_a_given_camera_has_the_stages_that_are_its_own():
     row = base_row(model, np.zeros(len(model.coordinates)), {}, "camera")
     own = [n.name for n in camera.chain.nodes if not n.name.startswith(("demosaic", "rounding"))]
     assert [name for name in row["stages"] if name != "demosaicking"] == own and row["fitted"] == {}
+
+
+@pytest.mark.parametrize(
+    ("own", "algorithm"),
+    [
+        (stage("demosaic_rcd", cfa="GRBG"), "rcd"),
+        (stage("demosaic_ahd", cfa="GRBG", delta=1, variant="libraw"), "ahd-libraw"),
+        (stage("demosaic_ahd", cfa="GRBG", delta=3), None),
+    ],
+)
+def test_a_cameras_demosaicker_is_one_of_the_choices(own, algorithm):
+    (node,) = with_choice(Chain((own,))).nodes
+    assert node.options.get("algorithm") == algorithm and node.options["cfa"] == "GRBG"
 
 
 @pytest.mark.parametrize("roots", [False, True])
@@ -62,9 +77,27 @@ def test_it_knows_whether_square_roots_were_demosaicked(roots):
     assert all(0 <= share <= 1 for share in base.absorbed.values())
     assert base.absorbed["demosaicking"] > 0.5
     assert (base.rival is not None) == roots, "what is explained by roots may be an effect"
-    assert len(base.choices) == 2 * len(DEMOSAICKERS) + 1, (
-        "all of linear values, and the best of square roots"
-    )
+    assert len(base.choices) == 12 + 2, "the nearest of linear values, the best of square roots, and its own"
+
+
+def test_an_unknown_demosaicker_is_stood_for_by_a_mix():
+    """The mean of two, which none of the palette is; the nearest alone leaves twice the error."""
+    rng = np.random.default_rng(6)
+    light = np.clip(scenes(rng, 4, (96, 96))[..., 0] / 255, 0.01, 1) ** 2
+    light = jnp.asarray(light + rng.normal(0, 0.01, light.shape), jnp.float32)
+    flat = {
+        n: WhiteBalance(gains=np.ones((4, 3), np.float32)) for n in ("mosaic_white_balance", "later_balance")
+    }
+    chain, params = plain_camera("GRBG")
+    model = build(chain, params, flat, plain_freedom(), [])
+    names = list(DEMOSAICKERS)
+    shares = 0.5 * (np.eye(len(names))[names.index("rcd")] + np.eye(len(names))[names.index("menon")])
+    camera = model.chosen(Variant({"demosaicking": Demosaicking(shares=np.float32(shares))}, {}))
+    pictures = np.round(255 * camera.render(np.zeros(len(model.coordinates)), light)) / 255
+    pairs = Pairs(("a", "b", "c", "d"), light, pictures, np.ones(light.shape, bool))
+    found = np.asarray(fit_base(model, pairs, [0, 2]).model.shared["demosaicking"].shares)
+    np.testing.assert_allclose(found, shares, atol=0.16)
+    assert (found > 0).sum() == 2
 
 
 def test_what_a_base_takes_up_is_what_would_be_left_without_it():

@@ -276,3 +276,16 @@ def test_a_stamp_is_a_matter_of_place_not_of_tails(begun):
     assert sum(found.values()) == pytest.approx(sum(share.values()))
     rows, found = stamped.located_with(at, ~place & place)
     assert found is rows
+
+
+def test_what_a_reference_is_off_by_is_taken_off(begun):
+    """Beside itself as the reference a set has no gap; what only several pairs show is left in one alone."""
+    objective, at = begun
+    off = objective.measure.real - objective.measure.simulated(at.model, at.z)
+    less = dataclasses.replace(objective, measure=objective.measure.less(off))
+    assert np.abs(less.difference(less.at(at.model, at.z))).max() < 1e-4
+    part, there = less.fitted(less.at(at.model, at.z))
+    assert there.error == pytest.approx(0, abs=1e-3)
+    again = less.measure.measured_real(less.measure.target)
+    np.testing.assert_allclose(again, less.measure.real, atol=1e-6)
+    np.testing.assert_array_equal(part.measure.offset, off[:1])

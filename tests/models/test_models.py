@@ -5,16 +5,29 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from scipy.ndimage import gaussian_filter
 
 from jaxisp.errors import InputError
-from jaxisp.models import MODELS, count_parameters, denoise, make_model
+from jaxisp.models import (
+    MODELS,
+    count_parameters,
+    denoise,
+    load_weights,
+    make_model,
+    read_network,
+    save_network,
+)
 from jaxisp.models.ffdnet import estimate_noise
 from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
+from jaxisp.models.levels import measured_map
 from jaxisp.models.n3net import N3Block, _candidates
+from jaxisp.models.weighing import SEARCH, WIDTHS, _blurred, _means
 
 SMALL = {
     "fast": {"depth": 3, "features": 8},
     "unet": {"features": (8, 8), "depth": 1},
+    "levelnet": {"features": (8, 8), "depth": 1, "estimator": 4},
+    "weighnet": {"features": 6},
     "dncnn6": {"features": 8},
     "dncnn17": {"features": 8, "depth": 4},
     "ffdnet": {"depth": 3, "features": 8},
@@ -82,6 +95,114 @@ def test_tiles_give_the_whole_picture(name, tile, size, rng):
     whole = denoise(model, image)
     assert whole.shape == image.shape and np.abs(whole - image).max() > 0.01
     np.testing.assert_allclose(denoise(model, image, tile=tile), whole, atol=1e-6)
+
+
+def restless(name):
+    """A network whose last layer is as large as its others, so that what it does can be seen."""
+    model = make_model(name, **SMALL[name])
+    model.last.kernel.set_value(
+        model.first.kernel[...][:, :, :8, :].transpose(0, 1, 3, 2).repeat(2, 3)[..., :12]
+    )
+    return model
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("levelnet", (150, 181)), ("levelnet", (97, 33)), ("weighnet", (112, 130))]
+)
+def test_tiles_with_the_noise_map_of_the_whole_picture_give_the_whole_picture(name, size, rng):
+    model = restless(name) if name == "levelnet" else make_model(name, **SMALL[name])
+    image = rng.random((*size, 3), np.float32)
+    image[:50] = 0.5 + 0.02 * (image[:50] - 0.5)  # noise that is not the same everywhere
+    whole = denoise(model, image)
+    assert whole.shape == image.shape and np.abs(whole - image).max() > 0.01
+    np.testing.assert_allclose(denoise(model, image, tile=80), whole, atol=1e-5)
+    if name == "levelnet":  # the other's filters reflect the picture's border, wherever it is
+        np.testing.assert_allclose(run(model, jnp.asarray(image)[None])[0], whole, atol=1e-5)
+
+
+def test_the_filters_of_weighnet_are_those_of_others(rng):
+    """Gaussians against SciPy's, non-local means against a loop over offsets, noise against its truth."""
+    picture = rng.random((24, 30, 3)).astype(np.float32)
+    for sigma in (0.6, 2.2):
+        wanted = gaussian_filter(
+            picture, (sigma, sigma, 0), mode="reflect", truncate=np.ceil(3 * sigma) / sigma
+        )
+        np.testing.assert_allclose(_blurred(jnp.asarray(picture), sigma), wanted, atol=1e-5)
+    scale = np.full(3, 0.2, np.float32)
+    found = np.asarray(_means(jnp.asarray(picture), jnp.broadcast_to(scale, picture.shape)))
+    padded = np.pad(picture, ((7, 7), (7, 7), (0, 0)), mode="symmetric")
+    y, x = 11, 0
+    sums, weights = np.zeros(3), 0.0
+    for dy in range(-SEARCH, SEARCH + 1):
+        for dx in range(-SEARCH, SEARCH + 1):
+            here, there = (
+                padded[y + 5 + oy : y + 10 + oy, x + 5 + ox : x + 10 + ox] for oy, ox in ((0, 0), (dy, dx))
+            )
+            apart = max(float((((there - here) / 0.2) ** 2).mean()) - 2, 0)
+            weight = np.exp(-apart / (2 * WIDTHS[1] ** 2))
+            sums, weights = sums + weight * there[2, 2], weights + weight
+    np.testing.assert_allclose(found[1, y, x], sums / weights, atol=1e-5)
+
+
+def test_weighnet_finds_white_noise_and_its_brightness(rng):
+    clean = np.full((1, 128, 128, 3), 0.25, np.float32)
+    clean[:, :, 64:] = 0.75
+    std = np.where(clean < 0.5, 0.02, 0.06)
+    noisy = clean + std * rng.standard_normal(clean.shape)
+    found = np.asarray(make_model("weighnet").noise_map(jnp.asarray(noisy, jnp.float32)))
+    assert found.shape == (1, 8, 8, 3)
+    np.testing.assert_allclose(found[0, :, :4, :2], 0.02, rtol=0.2)
+    np.testing.assert_allclose(found[0, :, 4:, :2], 0.06, rtol=0.2)
+    np.testing.assert_allclose(found[..., 2], 1.0, atol=0.15)  # neighbours have nothing in common
+
+
+def test_strength_is_a_share_below_one_and_a_louder_map_above(rng):
+    model, image = restless("levelnet"), rng.random((32, 48, 3), np.float32)
+    whole = denoise(model, image)
+    np.testing.assert_allclose(denoise(model, image, strength=0.25), 0.75 * image + 0.25 * whole, atol=1e-6)
+    graph, state = nnx.split(model)
+    levels = nnx.merge(graph, state).noise_map(jnp.asarray(image)[None])
+    told = jax.jit(lambda s, x, m: nnx.merge(graph, s)(x, m))(state, image[None], 2 * levels)[0]
+    np.testing.assert_allclose(denoise(model, image, strength=2.0), told, atol=1e-6)
+    assert np.abs(told - whole).max() > 1e-3
+    plain = make_model("unet", **SMALL["unet"])
+    taken = image - denoise(plain, image)
+    np.testing.assert_allclose(denoise(plain, image, strength=2.0), image - 2 * taken, atol=1e-6)
+
+
+def test_the_measured_map_is_the_noise_of_luma_and_of_chroma(rng):
+    noise = np.zeros((1, 40, 64, 3), np.float32)
+    noise[:, :, :32] = 0.1 * rng.standard_normal((1, 40, 32, 1))  # the same in all channels: luma alone
+    noise[:, :16, 32:, 0], noise[:, :16, 32:, 2] = 0.114, -0.299  # no luma
+    found = np.asarray(measured_map(jnp.asarray(noise), jnp.zeros_like(noise)))
+    assert found.shape == (1, 3, 4, 2)
+    np.testing.assert_allclose(found[0, :2, :2, 0], 0.1, rtol=0.15)
+    np.testing.assert_allclose(found[0, :2, :2, 1], 0, atol=1e-5)
+    np.testing.assert_allclose(found[0, 0, 2:, 0], 0, atol=1e-5)
+    np.testing.assert_allclose(found[0, 0, 2:, 1], np.sqrt((0.114**2 + 0.299**2) / 3), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["levelnet", "dncnn6"])
+def test_a_network_goes_through_a_file(name, tmp_path, rng):
+    model, path = make_model(name, seed=3, **SMALL[name]), tmp_path / "network.npz"
+    save_network(path, model, name, SMALL[name], light="encoded")
+    back, about = read_network(path)
+    assert about["model"] == name and about["light"] == "encoded"
+    image = rng.random((20, 24, 3), np.float32)
+    np.testing.assert_array_equal(denoise(back, image), denoise(model, image))
+    other = make_model(name, **{**SMALL[name], "features": (8, 16) if name == "levelnet" else 4})
+    with pytest.raises(InputError, match="holds another network"):
+        load_weights(other, path)
+
+
+@pytest.mark.parametrize("text", [b"", b"not a network", b"PK\x03\x04 cut off"])
+def test_what_is_no_network_is_one_error(text, tmp_path):
+    path = tmp_path / "network.npz"
+    path.write_bytes(text)
+    with pytest.raises(InputError, match=r"network\.npz: holds no network"):
+        read_network(path)
+    with pytest.raises(InputError, match="nothing"):
+        read_network(tmp_path / "nothing.npz")
 
 
 def test_a_tile_within_reach_is_refused(rng):

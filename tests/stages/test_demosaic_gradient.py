@@ -21,11 +21,19 @@ VARIANTS = [
     ("demosaic_hamilton_adams", {"cfa": "GBRG"}),
     ("demosaic_vng", {"cfa": "GRBG"}),
     ("demosaic_edge_aware", {"cfa": "BGGR"}),
+    ("demosaic_ppg", {"cfa": "GRBG"}),
+    ("demosaic_dcb", {"cfa": "GBRG"}),
+    ("demosaic_rcd", {"cfa": "BGGR"}),
+    ("demosaic_lmmse", {"cfa": "GRBG"}),
 ]
 
 
 @pytest.mark.parametrize(
-    "name", [f"demosaic_{n}" for n in ("hibbard", "ahd", "menon", "hamilton_adams", "vng", "edge_aware")]
+    "name",
+    [
+        f"demosaic_{n}"
+        for n in ("hibbard", "ahd", "menon", "hamilton_adams", "vng", "edge_aware", "ppg", "dcb")
+    ],
 )
 def test_gradient_holds_the_choice_constant(name, x64):
     """Between two changes of a choice the output is linear in the mosaic: the derivative says by how much."""
@@ -58,6 +66,14 @@ def test_reverse_mode_is_the_transpose_of_forward_mode(name, static, x64):
             tangent, cotangent = rng.standard_normal(mosaics.shape), rng.standard_normal((*mosaics.shape, 3))
             moved, collected = both(mosaics, tangent, cotangent)
             np.testing.assert_allclose(np.vdot(collected, tangent), np.vdot(cotangent, moved), rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["demosaic_rcd", "demosaic_lmmse"])
+def test_weights_are_held_constant(name, x64):
+    """With its weights held, the picture is linear in the mosaic: the derivative along it is the picture."""
+    mosaic = smooth_image(SHAPE)
+    value, tangent = jax.jvp(compiled(name), (mosaic,), (mosaic,))
+    np.testing.assert_allclose(tangent, value, atol=1e-12)
 
 
 def test_clipping_of_libraws_variant_ends_the_gradient(x64):

@@ -10,10 +10,10 @@ from skimage.metrics import structural_similarity
 
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
+from jaxisp.models.apply import Denoiser, denoise_files
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.testing import smooth_image
 from jaxisp.train import evaluate_dataset
-from jaxisp.train.denoiser import Denoiser, denoise_files
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any
 
 from jaxisp.gap.axes import Rows
-from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 
 
 def held_against_nulls(rows: Rows, kind: str, at: float, unit: float) -> list[dict[str, Any]]:
@@ -38,7 +38,7 @@ def held_against_nulls(rows: Rows, kind: str, at: float, unit: float) -> list[di
 
 
 def _size(row: Mapping[str, Any], kind: str, at: float, unit: float) -> float:
-    return float(row["share"] * at / unit if kind == RAW_JPEG else row["size"])
+    return float(row["size"] if kind == CLEAN_NOISY else row["share"] * at / unit)
 
 
 def _beside(nulls: Mapping[str, Any], row: Mapping[str, Any], size: float) -> dict[str, Any]:
@@ -64,4 +64,4 @@ def bank() -> dict[str, Any]:
     the largest ratio of an axis's size to its usual size.
     """
     found: dict[str, Any] = json.loads(files("jaxisp.gap.axes").joinpath("nulls.json").read_text())
-    return found
+    return found | {JPEG_JPEG: found[RAW_JPEG]}  # pixels are compared alike

@@ -100,16 +100,14 @@ def clean_case(
         )
         return dataclasses.replace(case, outliers=(*outliers, *case.outliers))
     if simulator is None:
-        case = plain_case(mean, effects, seed, tick)
-        if file is None:  # a shift would move the 8x8 grid of a JPEG
-            case, mean = _with_one_pattern(pairs, case, mean, cfa, effects, seed, tick)
+        case, mean, _ = fitted_plain(pairs, mean, effects, file, cfa, seed, tick)
     else:
         if is_camera:
             given, pairs = of_camera(simulator, effects, mean)
         else:
             given = of_recipe(simulator, effects, mean.camera.cfa, file)
             pairs = _believed(pairs, mean.objective.pairs)
-        read = _quantization(mean.model.shared, mean.camera, pairs)
+        read = sensor_quantization(mean.model.shared, mean.camera, pairs)
         case = _given_case(given, pairs, read, split, effects, seed, tick)
     believed = simulator is not None and not is_camera
     reference = _toned(case.pairs.light, None if believed else mean)
@@ -125,31 +123,44 @@ def _not_stated(case: Case, file: Jpeg | None) -> list[str]:
     return [name for name in case.offered if name not in stated]
 
 
-def _with_one_pattern(
+def fitted_plain(
     pairs: Pairs,
-    case: Case,
     mean: MeanFit,
-    cfa: str | None,
     effects: Sequence[Effect],
+    file: Jpeg | None,
+    cfa: str | None,
     seed: int,
     tick: Tick,
-) -> tuple[Case, MeanFit]:
-    """Refit the plain base with the pairs shifted to a common CFA phase, if their phases differ.
+) -> tuple[Case, MeanFit, np.ndarray]:
+    """Fit the noise of a plain camera; without a file, with the pairs shifted to a common CFA phase.
+
+    A shift would move the 8x8 grid of a JPEG.
+
+    Args:
+        pairs: as they were read.
+        mean: the fitted mean of these.
+        effects: the effects.
+        file: a JPEG with the header to use; None if the pictures are not JPEGs.
+        cfa: Bayer pattern; None: it was searched for.
+        seed: of the simulated noise.
+        tick: progress callback.
 
     Returns:
-        the case and the fitted mean.
+        the case; the fitted mean; (N, 2) rows and columns that pairs were moved by.
     """
-    for _ in range(_PASSES):
+    case = plain_case(mean, effects, seed, tick)
+    total = np.zeros((len(pairs.names), 2), int)
+    for _ in range(_PASSES if file is None else 0):
         assert case.statistics is not None
         measure, at = case.statistics.measure, case.point
         by = cfa_phase.moves(measure.real, measure.simulated(at.model, at.z), mean)
         if not by.any():
             break
         tick(0, 3, "fitting the base again: pairs are cut at different places of the colour filter array")
-        pairs = cfa_phase.moved(pairs, by)
+        pairs, total = cfa_phase.moved(pairs, by), total + by
         mean = fit_mean(None, pairs, case.split, cfa)
         case = plain_case(mean, effects, seed, tick)
-    return case, mean
+    return case, mean, total
 
 
 def _outliers(mean: MeanFit, uncertain: Sequence[str]) -> tuple[str, ...]:
@@ -186,7 +197,7 @@ def plain_case(mean: MeanFit, effects: Sequence[Effect], seed: int, tick: Tick) 
     """Fit the noise of a plain camera whose mean is fitted, and add all effects, switched off."""
     pairs, split, camera = mean.objective.pairs, mean.objective.split, mean.camera
     model, shown = _placed(camera.whole_model(mean.model, effects), pairs)
-    read = _quantization(model.shared, camera, pairs)
+    read = sensor_quantization(model.shared, camera, pairs)
     choices = [  # the best demosaicker may only imitate an effect
         Variant({"demosaicking": Demosaicking(shares=shares)}, {})
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
@@ -268,7 +279,7 @@ def _believed(pairs: Pairs, exposed: Pairs) -> Pairs:
     return pairs.relit(lambda light: light * np.float32(factor))
 
 
-def _quantization(shared: Params, camera: Camera, pairs: Pairs) -> Quantization:
+def sensor_quantization(shared: Params, camera: Camera, pairs: Pairs) -> Quantization:
     return quantization(shared, camera.cfa, camera.gains, _inside(pairs), BORDER)
 
 

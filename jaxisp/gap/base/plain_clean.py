@@ -30,7 +30,7 @@ _USUAL_GAINS = {"red_gain": (1.9, 0.4), "blue_gain": (1.7, 0.4)}
 """Mean and spread of white-balance gains that sensors need in daylight and indoors."""
 _REACH = {"offset": 0.006, "matrix": 0.06, "offsets": 0.05}
 _FILE = "file_chroma"
-_BALANCES = ("to_raw", "early_balance", "later_balance")
+BALANCES = ("to_raw", "early_balance", "later_balance")
 _COMPANDED = (COMPANDING, EXPANSION)
 _READOUT = ("noise_level", "row_noise", "column_noise", "correlated_noise", "heavy_tailed_noise",
             "hot_pixels", "adc_quantization")  # fmt: skip
@@ -78,10 +78,10 @@ class Camera:
             stage("mosaic", cfa=self.cfa),
             Stage(stage("black_level").fn, "black_level_offset"),
             stage("balanced_noise", cfa=self.cfa),
-            Stage(mosaic.fn, _BALANCES[0], mosaic.static),
-            Stage(mosaic.fn, _BALANCES[1], mosaic.static),
+            Stage(mosaic.fn, BALANCES[0], mosaic.static),
+            Stage(mosaic.fn, BALANCES[1], mosaic.static),
             *demosaicking,
-            Stage(late.fn, _BALANCES[2], late.static),
+            Stage(late.fn, BALANCES[2], late.static),
             stage("clip", name="white_level", low=-1.0),
             Stage(stage("color_matrix").fn, MIXING),
             stage("color_matrix"),
@@ -106,7 +106,7 @@ class Camera:
             own[_FILE] = ChromaSubsampling(horizontal=horizontal, vertical=vertical)
         still = Chain(nodes, "plain")
         names = set(still.init())
-        own |= {name: value for name, value in params.items() if name not in (*_BALANCES, *_COMPANDED)}
+        own |= {name: value for name, value in params.items() if name not in (*BALANCES, *_COMPANDED)}
         own |= primaries(np.eye(3) + self.share * TYPICAL)
         own = {name: value for name, value in own.items() if name in names}
         return build(still, own, {}, plain_freedom(), [])
@@ -117,7 +117,7 @@ class Camera:
         shared = params | {name: value for name, value in mean.shared.items() if name != _FILE}
         free = (*noise_freedom(shared), *narrowed(plain_freedom()))
         model = build(chain, shared, {}, free, effects, keep_file=True)
-        return dataclasses.replace(model, chain=read_out(model.chain, _BALANCES[0]), tied=_tied)
+        return dataclasses.replace(model, chain=read_out(model.chain, BALANCES[0]), tied=_tied)
 
 
 def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
@@ -142,7 +142,7 @@ def balances(gains: tuple[float, float], late: bool) -> Params:
     """White-balance parameters: undone before the sensor, applied before or (`late`) after demosaicking."""
     own, one = np.array([gains[0], 1, gains[1]], np.float32), np.ones(3, np.float32)
     order = (1 / own, one, own) if late else (1 / own, own, one)
-    return {name: WhiteBalance(gains=g) for name, g in zip(_BALANCES, order)}
+    return {name: WhiteBalance(gains=g) for name, g in zip(BALANCES, order)}
 
 
 def read_out(chain: Chain, after: str) -> Chain:

@@ -33,10 +33,17 @@ from jaxisp.gap.simulator.model import (
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
-from jaxisp.pipeline import run, stage
+from jaxisp.pipeline import Chain, Params, run, stage
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking, demosaicking
 from jaxisp.stages.optics import RectilinearWarp
+
+_NEAREST = 12
+"""Demosaickers, in either order with white balance, that are tried again beside each effect."""
+_PARTNERS, _SHARES = 3, (0.2, 0.35, 0.5)
+"""Algorithms that the best is mixed with, and their shares."""
+_MIXED = 0.97
+"""Share of the best algorithm's error that a mix must leave to be taken for it."""
 
 
 class Base(NamedTuple):
@@ -52,7 +59,7 @@ class Base(NamedTuple):
     """
 
     model: Model
-    absorbed: Mapping[str, float] = MappingProxyType({})
+    absorbed: Mapping[str, float | None] = MappingProxyType({})
     choices: Sequence[Variant] = ()
     rival: Variant | None = None
     unidentifiable: tuple[str, ...] = ()
@@ -66,19 +73,9 @@ def raw_model(
     criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Base:
     """Fit the plain camera to RAW+JPEG pairs, with the best demosaicker; see `fit_base`."""
-    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
-    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    raws, cfa = raws_of(loaded)
     gains, matrix, usual = _start(raws, pairs, cfa)
-    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
-    per_pair = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
-    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
-    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
-    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
-    warped = any(w is not None for w in warps)
-    if warped:
-        own = [w or RectilinearWarp() for w in warps]
-        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
-    chain, params = plain_camera(cfa, subsampling=sampling, warped=warped)
+    chain, params, per_pair = plain_parts(loaded, pairs, gains)
 
     def fitted(matrix: np.ndarray, free: Sequence[Coordinate]) -> Base:
         start = params | {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
@@ -90,6 +87,39 @@ def raw_model(
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
     absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
+
+
+def plain_parts(loaded: Sequence[Loaded], pairs: Pairs, gains: np.ndarray) -> tuple[Chain, Params, Params]:
+    """The plain camera of RAW+JPEG pairs before it is fitted, with what their files state.
+
+    Args:
+        loaded: the pairs.
+        pairs: the same, cropped alike.
+        gains: (N, 3) white-balance gains; they come before demosaicking.
+
+    Returns:
+        the chain; its parameters; those of each pair.
+    """
+    (raws, cfa), jpeg = raws_of(loaded), loaded[0].jpeg
+    sampling = jpeg.subsampling if jpeg else "4:4:4"
+    balance = WhiteBalance(gains=np.asarray(gains, np.float32))
+    per_pair: Params = {"mosaic_white_balance": balance, "later_balance": _neutral(balance)}
+    parts = [(c[0].start, c[1].start) for c in common_crop(loaded)]
+    shape = (pairs.mask.shape[1], pairs.mask.shape[2])
+    warps = [stated_warp(raw, start, shape) for raw, start in zip(raws, parts)]
+    warped = any(w is not None for w in warps)
+    if warped:
+        own = [w or RectilinearWarp() for w in warps]
+        per_pair["rectilinear_warp"] = jax.tree.map(lambda *v: np.stack(v), *own)
+    return (*plain_camera(cfa, subsampling=sampling, warped=warped), per_pair)
+
+
+def stated_gains(raws: Sequence[Raw]) -> np.ndarray | None:
+    """(N, 3) white-balance gains that RAW files state, of those that are balanced already ones; None where
+    they state none."""
+    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
+    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    return None if silent else gains
 
 
 def _at_floor(
@@ -106,9 +136,10 @@ def _at_floor(
 
 
 def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
-    """Fit the base with the best demosaicker.
+    """Fit the base with the best demosaicker, or a mix of it with one of the next best.
 
-    White balance may come before or after it, and it may act on linear values or on their square roots.
+    White balance may come before or after it, and it may act on linear values or on their square roots. A mix
+    stands for a demosaicker that is not among these. It must lower the error clearly.
     """
     objective, own = PixelObjective.of(pairs).take(fit_on), model.take(fit_on)
     at = objective.at(own, np.zeros(len(model.coordinates)))
@@ -125,10 +156,17 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     rooted_best = min(of_roots) < ROOTED * min(errors)
     best, rival = (root, linear) if rooted_best else (linear, None)
     at = fit(objective, with_choice(best), model.base_indices, steps=4).point
+    ranked = [found[i] for i in np.argsort(errors)]
+    mixes = _mixes(best, ranked)
+    mixed = [objective.at(own.chosen(mix.take(fit_on)), at.z) for mix in mixes]
+    least = int(np.argmin([m.error for m in mixed]))
+    if mixed[least].error < _MIXED * at.error:
+        best = mixes[least]
+        at = fit(objective, mixed[least], model.base_indices, steps=2).point
     every = list(range(len(fit_on)))
     absorbed = absorbed_shares(objective, at.model.moved(at.z), model.shared, every)
     absorbed["demosaicking"] = 1 - min(errors) / max(errors)
-    return Base(model.chosen(best).moved(at.z), absorbed, [*found, root], rival)
+    return Base(model.chosen(best).moved(at.z), absorbed, [*ranked[:_NEAREST], root, best], rival)
 
 
 def choices(model: Model) -> list[Variant]:
@@ -143,6 +181,20 @@ def choices(model: Model) -> list[Variant]:
         for shares in np.eye(len(DEMOSAICKERS), dtype=np.float32)
         for early, late in orders
     ]
+
+
+def _mixes(best: Variant, ranked: Sequence[Variant]) -> list[Variant]:
+    """The best choice with shares of the next best algorithms in place of a part of its own."""
+    own = np.asarray(best.shared["demosaicking"].shares)
+    others = dict.fromkeys(int(np.argmax(c.shared["demosaicking"].shares)) for c in ranked)
+    nearest = [k for k in others if not own[k]][:_PARTNERS]
+    alone = np.eye(len(own), dtype=np.float32)
+
+    def mixed(other: int, share: float) -> Variant:
+        shares = np.float32((1 - share) * own + share * alone[other])
+        return dataclasses.replace(best, shared=best.shared | {"demosaicking": Demosaicking(shares=shares)})
+
+    return [mixed(k, share) for k in nearest for share in _SHARES]
 
 
 def _on_roots(choice: Variant) -> Variant:
@@ -161,15 +213,15 @@ def _start(raws: Sequence[Raw], pairs: Pairs, cfa: str) -> tuple[np.ndarray, np.
         else None. A matrix fitted to the noise of grey scenes would imitate effects that reduce this noise,
         such as compression.
     """
-    gains = np.stack([np.ones(3) if raw.white_balanced else raw.white_balance for raw in raws])
-    silent = np.allclose(gains, 1) and not raws[0].white_balanced
+    stated = stated_gains(raws)
+    gains = np.ones((len(raws), 3)) if stated is None else stated
     light, linear = _balanced(pairs, cfa, gains), srgb_to_linear(pairs.pictures)
     grey = is_colourless(light, pairs.mask)
 
     def shade(pixels: np.ndarray) -> np.ndarray:
         return np.asarray(pixels[pairs.mask].mean(0))
 
-    if silent:
+    if stated is None:
         if grey:
             white = shade(light) / shade(linear)
         else:  # from the matrix

@@ -10,15 +10,19 @@ import numpy as np
 from jaxisp.camera import params_for, with_cfa
 from jaxisp.errors import InputError
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
+from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
 from jaxisp.gap.base.plain_raw import Base, raw_model
+from jaxisp.gap.base.reference import OnReference, on_reference
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
+from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.align_raw import raw_pairs
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
 from jaxisp.gap.pairs.scenes import Split, split_of
+from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build, is_file
@@ -34,6 +38,8 @@ _SAMPLING = "chroma_subsampling"
 
 def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
     """Build the model of a given camera, with its own parameters and those that each RAW states.
+
+    Its base coordinates are those of a light refit, see `given_light`.
 
     If the camera has a stage with the name of an effect, the effect acts on that stage. Exceptions are stages
     whose parameters each RAW states, and effects that are searched on a grid. Effects without room to move
@@ -57,12 +63,13 @@ def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Eff
         )
     nodes, names = renamed(flat, effects, [*stated, *searched])
     nodes, sampling = _sampled(nodes, loaded[0].jpeg)
-    chain = with_choice(Chain(tuple(nodes), camera.name))
+    chain = with_choice(Chain(tuple(with_refit(nodes)), camera.name))
     shared = {names.get(n, n): value for n, value in own[0].items() if n not in stated} | sampling
+    shared |= start(chain)
     per_pair = {names.get(n, n): jax.tree.map(lambda *v: np.stack(v), *(o[n] for o in own)) for n in stated}
     there = {s.name for s in chain.stages()}
     tried = [e for e in effects if e.site != "demosaic" or e.name in there]
-    model = build(chain, shared, per_pair, [], tried)
+    model = build(chain, shared, per_pair, freedom(), tried)
     acting = {e.name: on_own_stage(e, model.shared[e.name]) for e in tried if e.name in there}
     moving = {name: acting.get(name, moves) for name, moves in model.effects.items()}
     return dataclasses.replace(model, effects={name: moves for name, moves in moving.items() if moves})
@@ -99,6 +106,7 @@ def raw_case(
     tick: Tick,
     split: Split | None = None,
     criteria: Criteria = CRITERIA[RAW_JPEG],
+    reference: Sequence[Loaded] = (),
 ) -> Case:
     """Build the case of RAW+JPEG pairs on their base.
 
@@ -109,15 +117,21 @@ def raw_case(
         tick: progress callback, called with (done, total, text).
         split: fitted and held-out pairs; default: every other scene is fitted.
         criteria: thresholds of the verdict.
+        reference: pairs of the same camera without the effect, which the base is fitted to in place of these.
     """
     pairs, file = raw_pairs(loaded), loaded[0].jpeg
     split = split_of(pairs.names) if split is None else split
     effects = candidates(RAW_JPEG, exclude)
     tick(0, criteria.most_causes, "fitting the base")
-    if camera is None:
+    taken, about = None, {}
+    if reference:
+        taken = on_reference(loaded, pairs, reference, effects, criteria)
+        base = Base(taken.model, unidentifiable=taken.unidentifiable)
+    elif camera is None:
         base = raw_model(loaded, pairs, effects, split.fit, criteria)
     else:
-        base = Base(camera_model(camera, loaded, effects))
+        found = refitted(camera_model(camera, loaded, effects), pairs, split.fit)
+        base, about = Base(found.model, found.absorbed, found.choices), {"moved": found.moved}
     model, absorbed = base.model, base.absorbed
     references: dict[int, float] = {}
     seen: tuple[str, ...] = ()
@@ -131,20 +145,50 @@ def raw_case(
             else:
                 seen = ("double_compression",)
     objective, z = PixelObjective.of(pairs, split, base.choices, base.rival), np.zeros(len(model.coordinates))
-    objective = objective.robust(objective.at(model, z))
+    if taken is None or taken.same is None:  # a reference's pictures leave no error at edges
+        objective = objective.robust(objective.at(model, z))
     objective = dataclasses.replace(objective, references=references, earlier=place)
     at = objective.at(model, z)
     stated = stated_by(file)
     if file is None:  # compressed at most once
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unidentifiable}
-    stored = objective.floor_difference(at, [p.jpeg for p in loaded])
+    files = [p.jpeg for p in loaded]
+    stored, floors, left = _floors(objective, at, files, taken)
     return Case(
         kind=RAW_JPEG, criteria=criteria, pairs=pairs, evidence=objective, point=at, pixels=objective,
-        absorbed=absorbed, floors=objective.floor_errors(stored),
+        absorbed=absorbed, floors=floors,
         offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
-        given=f"camera {camera.name}" if camera else None,
+        given=_given(camera, bool(reference)),
+        about=about,
+        reference_gap=left,
         seen=seen,
         unidentifiable=base.unidentifiable,
     )  # fmt: skip
+
+
+def _floors(
+    objective: PixelObjective, at: Point, files: Sequence[Jpeg | None], taken: OnReference | None
+) -> tuple[np.ndarray, np.ndarray, float | None]:
+    """What a right simulator would leave.
+
+    Returns:
+        (N, h, w, 3) what the files do to the pictures; (N,) the gap of each pair; the gap of the reference.
+    """
+    if taken is not None and taken.same is not None:
+        stored = stored_twice(taken.same, objective.pairs.pictures, (taken.files, files))
+        floors = objective.mean_squares(stored * objective.weight)
+        return stored, floors, float(floors[list(objective.split.held_out)].mean())
+    stored = objective.floor_difference(at, files)
+    floors = objective.floor_errors(stored)
+    if taken is None or taken.gap is None:
+        return stored, floors, None
+    return stored, np.maximum(floors, taken.gap), taken.gap
+
+
+def _given(camera: Recipe | None, on_reference: bool) -> str | None:
+    """What the base is, in words; None of one that is fitted to the pairs."""
+    if on_reference:
+        return "plain camera, fitted to the reference"
+    return None if camera is None else f"camera {camera.name}"

@@ -67,7 +67,9 @@ class Measure:
         read: how to get back to what the sensor read.
         reference, again: what real and simulated pictures are looked at against.
         tones: (N, T) means of the real pictures' blocks.
-        real: (N, F) their statistics.
+        real: (N, F) their statistics, less `offset`.
+        offset: (N, F) by how much real pictures differ from the base's where nothing is missing, as a
+            reference tells; None where there is none.
     """
 
     pairs: Pairs
@@ -82,6 +84,7 @@ class Measure:
     again: Reference
     tones: np.ndarray
     real: np.ndarray
+    offset: np.ndarray | None = None
     known: Memo[Shown] = dataclasses.field(default_factory=lambda: Memo(_KEPT), repr=False)
 
     @classmethod
@@ -106,6 +109,15 @@ class Measure:
         blocks = tones.of(target, mask)
         return cls(pairs, split, numbers, seed, mask, target, frames, read, reference, again, blocks, real)
 
+    def less(self, offset: np.ndarray) -> "Measure":
+        """With (N, F) of the real pictures' statistics taken off."""
+        return dataclasses.replace(self, real=self.real - offset, offset=offset)
+
+    def measured_real(self, pictures: np.ndarray) -> np.ndarray:
+        """(N, F) statistics of pictures in steps, their border cut off, as `real` has them."""
+        found = self.measured(pictures, self.reference)
+        return found if self.offset is None else found - self.offset
+
     @functools.cached_property
     def fitted(self) -> "Measure":
         """Of the fitted pairs alone."""
@@ -113,11 +125,12 @@ class Measure:
         pairs, at = self.pairs.take(index), np.array(index)
         frames = frames_of([scene_name(name) for name in pairs.names])
         reference, mask, target = self.reference.take(index), self.mask[at], self.target[at]
-        return Measure(
+        own = Measure(
             pairs, Split(tuple(range(len(index))), ()), tuple(index), self.seed, mask, target, frames,
             self.read, reference, self.again.take(index), self.tones[at],
             _measured(target, reference, mask, frames, self.read),
         )  # fmt: skip
+        return own if self.offset is None else own.less(self.offset[at])
 
     def scenes(self, which: Sequence[int]) -> list[str]:
         """The names of the scenes that these pairs show."""
@@ -129,8 +142,9 @@ class Measure:
         return jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.asarray(self.numbers))
 
     def rendered(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
-        """(N, H, W, 3) encoded, noise and all."""
-        return model.render(z, self.pairs.light, self.keys(replicate))
+        """(N, H, W, 3) encoded, noise and all; the model is that of all pairs."""
+        own = model.take(self.numbers) if model.per_pair else model
+        return own.render(z, self.pairs.light, self.keys(replicate))
 
     def picture(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, h, w, 3) in steps, its border cut off."""

@@ -288,7 +288,7 @@ class StatisticsObjective:
         if not place.any():
             return rows, rows
         simulated = measure.picture(point.model, point.z)
-        without = measure.measured(np.where(place[..., None], simulated, measure.target), measure.reference)
+        without = measure.measured_real(np.where(place[..., None], simulated, measure.target))
         left = self._apart(point, without)
         both = [apart[index], left[index]]
         return rows, reattributed(

@@ -75,12 +75,17 @@ def clean_pairs(loaded: Sequence[Loaded], smoothing: float = 0.0) -> Pairs:
             happened to clip: its noise is another.
     """
     loaded = list({p.name: p for p in loaded}.values())
-    clean = np.stack([_linear(p) for p in loaded])
+    clean = linear_scenes(loaded)
     pictures = np.stack([p.picture for p in loaded]).astype(np.float32)
     names = tuple(p.name for p in loaded)
     seen = gaussian_filter(pictures, (0, smoothing, smoothing, 0))
     light, again = jnp.asarray(clean, jnp.float32), _compressed_again(clean, [p.clean_file for p in loaded])
     return in_halves(Pairs(names, light, pictures, usable(seen), again))
+
+
+def linear_scenes(loaded: Sequence[Loaded]) -> np.ndarray:
+    """(N, H, W, 3) linear light of the clean pictures, which have one size."""
+    return np.stack([_linear(p) for p in loaded])
 
 
 _GRIDS = ((0, 0), (3, 3), (5, 5))

@@ -1,4 +1,4 @@
-"""Where the 8x8 blocks of an earlier compression began, told from the decoded pictures."""
+"""Where the 8x8 blocks of compressions began, told from the decoded pictures."""
 
 import numpy as np
 from scipy.fft import dctn
@@ -21,14 +21,30 @@ def earlier_grid(luma: np.ndarray) -> tuple[int, int]:
 
     Source: the idea of Barni, Costanzo & Sabatini 2010, here by the mean size of coefficients.
     """
-    sizes = np.array([[_fine(luma[:, y:, x:]) for x in range(8)] for y in range(8)])
-    clear = np.median(sizes, axis=0) + np.median(sizes, axis=1, keepdims=True) - sizes
-    clear -= np.median(clear)
-    clear /= 1.48 * np.median(np.abs(clear)) + 1e-9
+    clear = _clear(luma)
     least = max(_CLEAR, _BESIDE * clear[0, 0])
     clear[0, 0] = 0
     row, column = np.unravel_index(np.argmax(clear), clear.shape)
     return (int(row), int(column)) if clear[row, column] > least else (0, 0)
+
+
+def own_grid(luma: np.ndarray) -> tuple[int, int] | None:
+    """The (row, column) where the blocks of pictures that were decoded and cut began; None if none are seen.
+
+    Args:
+        luma: (N, H, W) pictures that were cut at like places, 8-bit steps.
+    """
+    clear = _clear(luma)
+    row, column = np.unravel_index(np.argmax(clear), clear.shape)
+    return (int(row), int(column)) if clear[row, column] > _CLEAR else None
+
+
+def _clear(luma: np.ndarray) -> np.ndarray:
+    """(8, 8) how far each of the places of a grid stands out, in spreads."""
+    sizes = np.array([[_fine(luma[:, y:, x:]) for x in range(8)] for y in range(8)])
+    clear = np.median(sizes, axis=0) + np.median(sizes, axis=1, keepdims=True) - sizes
+    clear -= np.median(clear)
+    return np.asarray(clear / (1.48 * np.median(np.abs(clear)) + 1e-9))
 
 
 def _fine(luma: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from jaxisp.gap.pairs.align_clean import align_clean
 from jaxisp.gap.pairs.align_raw import Aligned, align_raw
 from jaxisp.gap.pairs.crops import SMALLEST
 from jaxisp.gap.pairs.headers import of_one_sampling
+from jaxisp.gap.pairs.own_file import with_own_file
 from jaxisp.io.datasets import Dataset, Loaded
 
 
@@ -21,7 +22,7 @@ def aligned_pairs(dataset: Dataset) -> Aligned:
     read, odd = of_one_sampling(read)
     failed = [(path.name, f"{path}: {reason}") for path, reason in dataset.problems] + failed + odd
     aligned = align_raw(read) if dataset.kind == "raw+jpeg" else align_clean(read)
-    return aligned._replace(failed=failed + aligned.failed)
+    return aligned._replace(kept=with_own_file(aligned.kept), failed=failed + aligned.failed)
 
 
 def _load(pairs: Sequence[Any]) -> tuple[list[Loaded], list[tuple[str, str]]]:

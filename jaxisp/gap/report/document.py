@@ -25,11 +25,13 @@ from jaxisp.gap.report.record import (
 )
 from jaxisp.gap.search.refit import clustered
 from jaxisp.gap.search.verdict import Found
-from jaxisp.gap.simulator.effects import RAW_JPEG
+from jaxisp.gap.simulator.effects import JPEG_JPEG, RAW_JPEG
 
 METRIC = {
     RAW_JPEG: "mean square difference of camera's and simulator's picture in Y'CbCr, squared 8-bit steps, "
     "summed over the three channels, large errors of single edges weighed down",
+    JPEG_JPEG: "mean square difference of the second picture and what is made of the first in Y'CbCr, "
+    "squared 8-bit steps, summed over the three channels",
     "clean+noisy": "mean square difference of the statistics of the residual, mean error included, in "
     "units of what is harmless or chance (squared), those weighed up that differ on the fitted pairs",
 }
@@ -72,7 +74,8 @@ def report_of(
     return {
         "schema": 1,
         "kind": case.kind,
-        "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended),
+        "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended)
+        | case.about,
         "pairs": {
             "fit": [case.pairs.names[i] for i in case.split.fit],
             "held_out": [case.pairs.names[i] for i in held],
@@ -82,7 +85,8 @@ def report_of(
             "metric": METRIC[case.kind], "before": gap.before, "after": after(gap, found), "floor": gap.floor,
             "ci": _interval(case, found, after(gap, found)),
             "axes": {row["axis"]: row["size"] for row in where},
-        } | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
+        } | ({} if case.reference_gap is None else {"reference": case.reference_gap})
+        | ({} if reducible is None else {"reducible": reducible}) | _statistics(found.before.rows),
         "verdict": "effect" if causes else "unknown" if there else "none",
         "causes": causes,
         "ranking": ranking_rows(found, apart, gap.scale, case.criteria),

@@ -40,6 +40,9 @@ _PLOTS, _BARS = 6, 8
 _LEAST_SHARE = 0.005  # least share of an axis that is listed
 _MOVED = 0.005  # least relative change of a stage's parameters that is listed
 _MORE = 0.02  # share of the gap by which one effect must close more than another to be mentioned
+_KINDS = {
+    "raw+jpeg": "RAW+JPEG pairs", "clean+noisy": "clean+noisy pairs", "jpeg+jpeg": "pairs of two JPEGs",
+}  # fmt: skip
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
 _FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
@@ -101,7 +104,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
     statistics = report["kind"] == "clean+noisy"
     return _ENVIRONMENT.get_template("report.html").render(
-        kind="RAW+JPEG pairs" if report["kind"] == "raw+jpeg" else "clean+noisy pairs",
+        kind=_KINDS[report["kind"]],
         verdict=sentence(report),
         summary=_summary(report),
         warning=begun(few_pairs(report)),
@@ -228,6 +231,8 @@ def _gap(gap: Mapping[str, Any], changed: bool) -> list[dict[str, Any]]:
         rows = [("gap", gap["before"], gap["ci"])]
     if _lower(gap):
         rows.append(("lowest of ours", gap["reducible"]["best"], None))
+    if finite(gap.get("reference")):
+        rows.append(("reference", gap["reference"], None))
     rows.append(("floor", gap["floor"], None))
     return [
         _bar(name, value, top, number(value) + (f" [{number(ci[0])}, {number(ci[1])}]" if ci else ""), ci)
@@ -365,6 +370,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("base", ", ".join(map(words, base["stages"]))),
         ("fitted in it", ", ".join(map(words, base["fitted"]))),
         ("taken up by it", absorbed or "nothing of note"),
+        ("moved to these pairs", _refitted(base.get("moved"))),
         ("moved by what was found", _moved(base)),
         ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
         ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
@@ -379,6 +385,20 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]
+
+
+def _refitted(moved: Mapping[str, Any] | None) -> str:
+    """What the light refit of a given camera moved, as text."""
+    if moved is None:
+        return ""
+    before, after = moved["demosaicking"]
+    other = "" if before == after else f", demosaicking from {before} to {after}"
+    first, last = map(number, moved["error"])
+    tone, matrix = number(moved["tone_steps"]), number(moved["matrix"])
+    return (
+        f"tone by up to {tone} steps, colour matrix by up to {matrix}{other}; "
+        f"the error of the fitted pairs from {first} to {last}"
+    )
 
 
 def _moved(base: Mapping[str, Any]) -> str:

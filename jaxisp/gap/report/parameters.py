@@ -16,10 +16,12 @@ _SECTORS = tuple(f"{360 / SECTORS * k:.3g}\N{DEGREE SIGN}" for k in range(SECTOR
 MEMBERS: dict[tuple[str, str], tuple[str, ...]] = {
     ("luma_denoising", "shares"): (
         "bilateral (1.5 px, 0.03 of white)", "bilateral (2 px, 0.1 of white)", "median 3x3",
-        "local linear (0.01 of white)", "local linear (0.03 of white)",
+        "local linear (0.01 of white)", "local linear (0.03 of white)", "guided (3 px, 0.03 of white)",
+        "non-local means (0.03 of white)", "wavelets (0.01 of white)",
     ),
     ("chroma_denoising", "shares"): (
         "Gaussian (1 px)", "Gaussian (2.5 px)", "median 3x3", "median 5x5", "bilateral (2 px, 0.05 of white)",
+        "guided by luma (4 px, 0.03 of white)", "wavelets (0.02 of white)",
     ),
     ("sharpening", "amounts"): tuple(f"mask of {width:g} px" for width in WIDTHS),
     ("demosaicking", "shares"): tuple(DEMOSAICKERS),

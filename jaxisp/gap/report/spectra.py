@@ -17,12 +17,15 @@ _SAID = {
     "raw+jpeg": {"before": "before", "after": "after", "floor": "floor"},
     "clean+noisy": {"real": "real", "before": "simulator before", "after": "after"},
 }
+_SAID["jpeg+jpeg"] = _SAID["raw+jpeg"]
 _TEXT = {
     "raw+jpeg": "Of the difference of camera and simulator. What lies above the floor is the simulator's "
     "lack; white noise has a flat spectrum and no correlation.",
     "clean+noisy": "Of the noise, without what follows the clean picture. Where the simulator is right, its "
     "curve lies in the band of the real pictures, and its map looks like theirs.",
 }
+
+_TEXT["jpeg+jpeg"] = _TEXT["raw+jpeg"]
 
 
 def spectra_part(kind: str, pictures: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -1,9 +1,10 @@
 """Film grain in RAW+JPEG pairs: noise of the JPEG that the RAW does not have, detected by its energy.
 
 No simulator predicts grain pixel by pixel, so adding it lowers no squared error. It does explain how large
-the error is. The energy of grain is measured in flat areas as a function of luma. Three parts are subtracted:
+the error is. The energy of grain is measured in flat areas as a function of luma. Four parts are subtracted:
 
 - energy that the picture's own detail predicts: the residual of a denoiser follows the RAW's noise;
+- energy that grows with the energy of the detail around: another demosaicker or denoiser than the base's;
 - the floor of rounding and compression;
 - the share that is a function of the picture's values: rounding to few levels, dithered or not.
 """
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_gradient_magnitude
+from scipy.optimize import nnls
 
 from jaxisp.color import ycbcr_to_rgb_planes
 from jaxisp.gap.axes.interval import interval
@@ -25,6 +27,7 @@ _FLAT = 0.35  # share of the pixels that count as flat
 _BINS = 8
 _FEW = 200  # least number of flat pixels in a bin
 _HUES, _DEPTHS = 6, (0.33, 0.67, 0.9)
+_WINDOWS = (1.0, 2.0, 4.0)  # px, that the detail's energy is averaged over
 _GRID = 8  # px; dither patterns have 8x8 pixels or fewer
 
 
@@ -60,7 +63,7 @@ def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, 
     held = list(seen.split.held_out)
     residual, flat = seen.target - seen.current, _flat(seen)
     energy = _unpredicted(seen, residual, flat) - (floor**2).sum(-1)
-    expected = _by_luma(seen.current[..., 0], energy, flat, seen.split.fit)
+    expected = _independent(seen.current, energy, flat, seen.split.fit)
     expected = expected * (1 - _follows_values(seen, residual, floor, flat))
     found, grainy, bottom = (
         tiled(seen.counted * square, seen.counts)[held]
@@ -166,15 +169,30 @@ def _detail(picture: np.ndarray, sigma: float) -> np.ndarray:
     return np.asarray(picture - gaussian_filter(picture, (0, sigma, sigma, 0)))
 
 
-def _by_luma(luma: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]) -> np.ndarray:
-    """Mean energy (N, h, w) of flat areas at each pixel's luma, at least 0."""
-    learnt = _of(flat, fit_on)
+def _independent(
+    current: np.ndarray, energy: np.ndarray, flat: np.ndarray, fit_on: Sequence[int]
+) -> np.ndarray:
+    """Mean energy (N, h, w) of flat areas at each pixel's luma that does not grow with the detail around.
+
+    What a wrong base does to the noise of the RAW grows with this noise: locally, by chance, even where the
+    noise is uniform. So the energy is a sum of a level for each range of luma and of powers of the detail's
+    own energy, all at least 0. Only the levels are grain.
+    """
+    learnt, luma = _of(flat, fit_on), current[..., 0]
+    square = (_detail(current, 1.0) ** 2).sum(-1)
+    detail = np.stack([gaussian_filter(square, (0, width, width))[learnt] for width in _WINDOWS], -1)
     values, seen = energy[learnt], luma[learnt]
     edges = np.quantile(seen, np.linspace(0, 1, _BINS + 1))
     which = np.clip(np.searchsorted(edges, seen, "right") - 1, 0, _BINS - 1)
     full = [k for k in range(_BINS) if (which == k).sum() >= _FEW]
     if not full:
         return np.zeros_like(energy)
-    centres = [seen[which == k].mean() for k in full]
-    means = [max(values[which == k].mean(), 0.0) for k in full]
-    return np.interp(luma, centres, means)
+    unit = np.median(detail[:, 1]) + 1e-6
+    levels = (which[:, None] == np.array(full)).astype(float)
+    columns = np.concatenate([levels, detail / unit, (detail / unit) ** 2], 1)
+    weight = (1 / (1 + detail[:, 1:2] / unit)) * levels.sum(1, keepdims=True)  # quiet places tell more
+    gram, right = (columns * weight).T @ (columns * weight), (columns * weight).T @ (values * weight[:, 0])
+    # as least squares of the same normal equations, which are few where pixels are many
+    root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(len(gram)))
+    means = nnls(root.T, np.linalg.solve(root, right))[0][: len(full)]
+    return np.interp(luma, [seen[which == k].mean() for k in full], means)

@@ -4,10 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from jaxisp.gap.simulator.model import (
-    Model,
-)
-from jaxisp.pipeline import Chain, Stage, stage
+from jaxisp.gap.simulator.model import Model
+from jaxisp.pipeline import Chain, Node, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS
 
 
@@ -21,10 +19,16 @@ def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
 
 def with_choice(chain: Chain) -> Chain:
     """The chain with its demosaicking stage as a choice of all, so that another can be tried."""
-    algorithms = {fn.__name__: name for name, fn in DEMOSAICKERS.items()}
-    nodes = []
-    for node in chain.nodes:
-        if isinstance(node, Stage) and node.fn.__name__ in algorithms and set(dict(node.static)) <= {"cfa"}:
-            node = stage("demosaicking", cfa=node.options["cfa"], algorithm=algorithms[node.fn.__name__])
-        nodes.append(node)
-    return Chain(tuple(nodes), chain.name)
+    return Chain(tuple(_as_choice(node) for node in chain.nodes), chain.name)
+
+
+def _as_choice(node: Node) -> Node:
+    if not isinstance(node, Stage):
+        return node
+    name, options = node.fn.__name__, {k: v for k, v in node.static if k != "cfa"}
+    if (name, options) == ("demosaic_ahd", {"delta": 1, "variant": "libraw"}):
+        name, options = DEMOSAICKERS["ahd-libraw"].__name__, {}
+    algorithms = {fn.__name__: algorithm for algorithm, fn in DEMOSAICKERS.items()}
+    if options or name not in algorithms:
+        return node
+    return stage("demosaicking", cfa=node.options["cfa"], algorithm=algorithms[name])

@@ -15,9 +15,12 @@ from jaxisp.errors import InputError, meant
 from jaxisp.pipeline import Node, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS
 from jaxisp.stages.look import SECTORS
+from jaxisp.stages.smoothing import CHROMA_FILTERS, LUMA_FILTERS
 
 RAW_JPEG, CLEAN_NOISY = "raw+jpeg", "clean+noisy"
 BOTH = (RAW_JPEG, CLEAN_NOISY)
+JPEG_JPEG = "jpeg+jpeg"
+"""Two pictures of a scene: they show what RAW+JPEG pairs do, but for effects of the mosaic."""
 
 AXES = (
     "radius", "row", "column", "intensity", "hue", "saturation", "channel", "frequency", "orientation",
@@ -264,6 +267,7 @@ _add(
 _add(
     "local_tone_mapping", stage("local_tone_mapping"), "linear",
     [Move("compression", 0.1, -0.7, 0.7), Move("detail", 0.15, -0.8, 2),
+     Move("contrast", 0.15, -0.8, 2), Move("equalization", 0.2, 0, 1), Move("clip", 1, -2, 12, off=3),
      Move("sigma", 6, -10, 26, off=14), Move("edges", 0.5, 0, 1)],
     "neighbourhood", "veiling_glare tone_curve sharpening",
 )  # fmt: skip
@@ -274,17 +278,18 @@ _add(
 )  # fmt: skip
 _add(
     "luma_denoising", stage("luma_denoising"), "encoded",
-    _entries("shares", 5, 0.5, -0.2, 1.2),
-    "frequency lag edge", "optical_blur resampling sharpening demosaicking", strong=_each(5),
+    _entries("shares", len(LUMA_FILTERS), 0.5, 0, 1.2),  # below 0 it would sharpen
+    "frequency lag edge", "optical_blur resampling sharpening demosaicking", strong=_each(len(LUMA_FILTERS)),
 )  # fmt: skip
 _add(
     "chroma_denoising", stage("chroma_denoising"), "encoded",
-    _entries("shares", 5, 0.5, -0.2, 1.2),
-    "frequency channel lag", "chroma_subsampling jpeg_quantization demosaicking", strong=_each(5),
+    _entries("shares", len(CHROMA_FILTERS), 0.5, 0, 1.2),
+    "frequency channel lag", "chroma_subsampling jpeg_quantization demosaicking",
+    strong=_each(len(CHROMA_FILTERS)),
 )  # fmt: skip
 _add(
     "sharpening", stage("sharpening"), "encoded",
-    _entries("amounts", 3, 0.3, -0.2, 4),
+    [*_entries("amounts", 3, 0.3, 0, 4), Move("threshold", 0.01, 0, 0.1), Move("limit", 15, 0, 100)],
     "frequency edge", "local_tone_mapping optical_blur demosaicking",
 )  # fmt: skip
 _add(

@@ -15,6 +15,7 @@ import numpy as np
 from jaxisp.camera import with_cfa
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move
+from jaxisp.gap.simulator.remainder import PICTURE_LIGHT
 from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
@@ -207,7 +208,7 @@ def build(
         nodes.pop()
     present = {name for n in nodes for name in n.names()}
     sites = _sites(nodes)
-    cfa = next(str(s.options["cfa"]) for n in nodes for s in n.stages() if "cfa" in s.options)
+    cfa = next((str(s.options["cfa"]) for n in nodes for s in n.stages() if "cfa" in s.options), "RGGB")
     inserted: dict[int, list[Node]] = {}
     for effect in effects:
         if effect.name not in present:
@@ -238,7 +239,21 @@ def is_file(node: Node) -> bool:
 
 
 def _sites(nodes: Sequence[Node]) -> dict[str, int]:
-    """Before which node of the base each site is."""
+    """Before which node of the base each site is; those of pictures alone where it has no mosaic."""
+    names = [n.name for n in nodes]
+    end = len(nodes)
+    while is_file(nodes[end - 1]):
+        end -= 1
+    last = nodes[end - 1]
+    clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
+    after = {"encoded": end - clipped, "output": end}
+    if PICTURE_LIGHT in names:  # light is seen in the picture itself, and so is the lens beside a RAW
+        light = names.index(PICTURE_LIGHT) + 1
+        after["linear"] = light
+        if not any(n.domain_out == MOSAIC != n.domain_in for n in nodes):
+            after["scene"] = light
+    if not any(MOSAIC in (n.domain_in, n.domain_out) for n in nodes):
+        return {"scene": 0, "linear": 0, "camera": 0} | after
     mosaic = next(i for i, n in enumerate(nodes) if n.domain_in == MOSAIC or n.domain_out == MOSAIC)
     if nodes[mosaic].domain_out == MOSAIC and nodes[mosaic].domain_in != MOSAIC:
         scene, mosaic = 0, mosaic + 1
@@ -248,19 +263,13 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
     if EXPANSION in nodes[camera].names():  # a part of demosaicking
         camera += 1
     encoded = next(i for i, n in enumerate(nodes) if n.domain_out == ENCODED and i >= camera)
-    end = len(nodes)
-    while is_file(nodes[end - 1]):
-        end -= 1
-    last = nodes[end - 1]
-    clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
-    return {
+    before = {
         "scene": camera if scene < 0 else scene,
         "mosaic": mosaic,
         "camera": camera,
         "linear": encoded,
-        "encoded": end - clipped,
-        "output": end,
     }
+    return before | after
 
 
 def plain_camera(

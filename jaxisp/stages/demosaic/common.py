@@ -4,6 +4,7 @@ Every border is reflected without repeating the edge, which keeps the phase of t
 is the same as if the mosaic had been continued by its mirror image.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,7 +12,9 @@ import jax.numpy as jnp
 
 from jaxisp import cfa as cfa_layout
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.stencils import pad, views
+from jaxisp.arrays.varying import alike
 
 Planes = tuple[jax.Array, jax.Array, jax.Array]
 Pair = tuple[jax.Array, jax.Array]
@@ -19,6 +22,27 @@ Pair = tuple[jax.Array, jax.Array]
 CROSS = [(0, -1), (0, 1), (-1, 0), (1, 0)]
 """Left, right, up, down."""
 DIAGONALS = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
+
+
+def neighbours(plane: jax.Array, offsets: Sequence[tuple[int, int]]) -> tuple[jax.Array, ...]:
+    """An (H, W) plane seen from so many pixels away: view[y, x] = plane[y + dy, x + dx], borders reflected.
+
+    Gradient: exact; the transpose is written as reads, see `demosaic.linear`.
+    """
+    radius = max(max(abs(dy), abs(dx)) for dy, dx in offsets)
+
+    def seen(_: None, x: jax.Array) -> tuple[jax.Array, ...]:
+        return tuple(views(pad(x, radius), offsets, radius))
+
+    def collected(_: None, cotangents: tuple[jax.Array, ...]) -> jax.Array:
+        wide = [
+            views(pad(c, 2 * radius, "constant"), [(-dy, -dx)], radius)[0]
+            for c, (dy, dx) in zip(cotangents, offsets, strict=True)
+        ]
+        like = alike(jnp.zeros(plane.shape, plane.dtype), wide[0])
+        return jax.linear_transpose(lambda x: pad(x, radius), like)(materialize(sum(wide)))[0]
+
+    return linear_call(seen, collected, None, plane)
 
 
 class Sites(NamedTuple):

@@ -1,5 +1,5 @@
-"""Denoising as a camera does it: bilateral filter, median filter, wavelet coring."""
+"""Denoising as a camera does it: bilateral, median and guided filters, non-local means, wavelet coring."""
 
-from jaxisp.stages.denoise import bilateral, median, wavelet
+from jaxisp.stages.denoise import bilateral, guided, median, nonlocal_means, wavelet
 
-__all__ = ["bilateral", "median", "wavelet"]
+__all__ = ["bilateral", "guided", "median", "nonlocal_means", "wavelet"]

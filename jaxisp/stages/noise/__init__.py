@@ -21,6 +21,7 @@ from jaxisp.stages.noise.patterns import (
     prnu,
     row_noise,
 )
+from jaxisp.stages.noise.published import LowLightNoise, ShotReadLaw, low_light_noise, shot_read_law
 from jaxisp.stages.noise.texture import (
     CorrelatedNoise,
     FilmGrain,
@@ -36,18 +37,22 @@ __all__ = [
     "FilmGrain",
     "GaussianNoise",
     "HeavyTailedNoise",
+    "LowLightNoise",
     "PoissonNoise",
     "Prnu",
     "RowNoise",
+    "ShotReadLaw",
     "ShotReadNoise",
     "column_noise",
     "correlated_noise",
     "film_grain",
     "gaussian_noise",
     "heavy_tailed_noise",
+    "low_light_noise",
     "pattern_key",
     "poisson_noise",
     "prnu",
     "row_noise",
+    "shot_read_law",
     "shot_read_noise",
 ]

@@ -105,12 +105,12 @@ def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Imag
     gain, read = params.gain.astype(image.dtype), params.read.astype(image.dtype)
     count_key, read_key = jax.random.split(key)
     mean = lax.stop_gradient(jnp.maximum(image, 0) / gain)
-    excess = lax.stop_gradient(gain) * _poisson_excess(count_key, mean)
+    excess = lax.stop_gradient(gain) * poisson_excess(count_key, mean)
     growth = jnp.sqrt(gain / lax.stop_gradient(gain))  # 1 in value
     return image + straight_through(excess, excess * growth) + read * normal(read_key, image)
 
 
-def _poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
+def poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     """N - mean, with N Poisson: the quantile function at a uniform draw.
 
     Unlike rejection it takes keys of every kind, has no loop of unknown length, and changes as little
@@ -120,7 +120,7 @@ def _poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     if mean.ndim > 2:
         # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
         rows = materialize(mean.reshape(len(mean), math.prod(mean.shape[1:])))
-        return materialize(_poisson_excess(key, rows)).reshape(mean.shape)
+        return materialize(poisson_excess(key, rows)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
     sign = jax.random.uniform(key, mean.shape, mean.dtype, minval=-1 + tiny, maxval=1)
     return jnp.where(mean < 16, _summed(0.5 * (1 + sign), mean), _expanded(sign, mean))

@@ -1,0 +1,53 @@
+"""`python -m experiments.third_party`: make, run, table."""
+
+import argparse
+import json
+from pathlib import Path
+
+from .chance import HALVES
+from .run import HOW, records, run
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m experiments.third_party")
+    commands = parser.add_subparsers(dest="command", required=True)
+    make = commands.add_parser("make", help="write the cases of a half")
+    make.add_argument("--data", type=Path, required=True, help="folder with clean/, raw/ and calibration/")
+    make.add_argument("-o", "--out", type=Path, required=True)
+    make.add_argument("--half", choices=HALVES, required=True)
+    make.add_argument("--size", type=int, default=224, help="of a scene, px a side")
+    make.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3, 4, 5], help="strengths")
+    make.add_argument("--match", default="", help="a regular expression that a case's name has")
+    runs = commands.add_parser("run", help="diagnose every case of a folder")
+    runs.add_argument("cases", type=Path)
+    runs.add_argument("-o", "--out", type=Path, required=True, help="gets a JSON file a case")
+    runs.add_argument("--match", default="")
+    runs.add_argument("--limit", type=int)
+    runs.add_argument(
+        "--how", choices=HOW, default=HOW[0], help="pairs alone, beside a reference, or as two pictures"
+    )
+    runs.add_argument("--json", action="store_true", help="print counts as JSON at the end")
+    table = commands.add_parser("table", help="Markdown tables of a run")
+    table.add_argument("out", type=Path, help="what `run` wrote")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    if arguments.command == "make":
+        from .make import make
+
+        make(arguments.data, arguments.out, arguments.half, arguments.size, arguments.match, arguments.levels)
+        return
+    from .tables import markdown, summary
+
+    if arguments.command == "table":
+        print(markdown(records(arguments.out)))
+        return
+    found = run(arguments.cases, arguments.out, arguments.match, arguments.how, arguments.limit)
+    if arguments.json:
+        print(json.dumps(summary(found)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""A U-shaped network that is told how strong the noise is at each place, or finds it out."""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+
+from jaxisp.color import LUMA_601
+from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuffle, pixel_unshuffle
+
+CELL = 16
+"""Pixels of a side of a cell of the noise map."""
+_LEAST = 0.5 / 255  # noise below which no level is told from another
+_SHARE = 0.05  # of the error of the map in what is trained
+
+
+class LevelNet(nnx.Module):
+    """Convolutions with ReLU at 1/2, 1/4, ... of the resolution and back, which are given a map of the noise.
+
+    The map has the standard deviation of the noise of luma and of chroma in each cell of 16x16 px. A small
+    network of its own estimates it from the picture; whoever multiplies it makes the other smooth more.
+
+    Args:
+        channels: of the image: 3.
+        features: channels at each resolution, from 1/2 down.
+        depth: convolutions at each resolution, on the way down and again on the way up.
+        estimator: channels of the network that estimates the map.
+        rngs: for the initial weights.
+        dtype: of the computation, bfloat16 or None (float32); weights are float32.
+
+    Source: a map as input is FFDNet's (Zhang, Zuo & Zhang 2018), a network that estimates it CBDNet's (Guo
+        et al. 2019), the shape that of Ronneberger, Fischer & Brox 2015.
+    """
+
+    cell = CELL
+    tile = 768
+
+    def __init__(
+        self,
+        channels: int = 3,
+        *,
+        features: tuple[int, ...] = (32, 64, 96),
+        depth: int = 2,
+        estimator: int = 24,
+        rngs: nnx.Rngs,
+        dtype: Any = None,
+    ) -> None:
+        def make(inputs: int, outputs: int, **options: Any) -> nnx.Conv:
+            return conv(inputs, outputs, rngs=rngs, dtype=dtype, **options)
+
+        def convs(width: int) -> nnx.List[nnx.Conv]:
+            return nnx.List([make(width, width) for _ in range(depth)])
+
+        steps = list(itertools.pairwise(features))
+        self.fine = nnx.List([make(16 * channels, estimator), make(estimator, estimator)])
+        self.coarse = nnx.List([make(estimator, estimator), make(estimator, 2)])
+        self.first = make(4 * channels + 2, features[0])
+        self.last = make(features[0], 4 * channels, init=NEARLY_ZERO)
+        self.down = nnx.List([convs(width) for width in features])
+        self.shrink = nnx.List([make(4 * a, b, kernel=1) for a, b in steps])
+        self.grow = nnx.List([make(b, 4 * a, kernel=1) for a, b in steps])
+        self.up = nnx.List([convs(a) for a, _ in steps])
+        self.multiple = max(CELL, 2 ** len(features))
+        strides = [2**i for i in range(1, len(features) + 1)]
+        passes = [2 * depth] * len(steps) + [depth]
+        # once it has its map, between the cells of which is interpolated
+        self.reach = 2 * 2 + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
+        self.map_reach = 2 * 4 + 2 * CELL  # two convolutions at 1/4 and two of cells
+
+    def noise_map(self, x: jax.Array) -> jax.Array:
+        """The (N, ceil(H / 16), ceil(W / 16), 2) standard deviations that are estimated for (N, H, W, 3)."""
+        y = pixel_unshuffle(pad_to_multiple(x, CELL), 4)
+        for layer in self.fine:
+            y = nnx.relu(layer(y))
+        y = _cells(y, CELL // 4)
+        y = self.coarse[1](nnx.relu(self.coarse[0](y))).astype(x.dtype)
+        return _LEAST * jnp.exp(jnp.clip(y, -1, 6))
+
+    def __call__(self, x: jax.Array, noise_map: jax.Array | None = None) -> jax.Array:
+        """Denoise (N, H, W, 3); the noise map is estimated where it is None."""
+        h, w = x.shape[1:3]
+        levels = self.noise_map(x) if noise_map is None else noise_map
+        padded = pad_to_multiple(x, self.multiple)
+        shape = (len(x), padded.shape[1] // 2, padded.shape[2] // 2, 2)
+        told = _spread(_told(levels), shape).astype(x.dtype)
+        y = jnp.concatenate([pixel_unshuffle(padded, 2), told], -1)
+        y = nnx.relu(self.first(y))
+        skips = []
+        for convs, shrink in zip(self.down, self.shrink):
+            y = _through(convs, y)
+            skips.append(y)
+            y = nnx.relu(shrink(pixel_unshuffle(y, 2)))
+        y = _through(self.down[-1], y)
+        for convs, grow, skip in reversed(list(zip(self.up, self.grow, skips))):
+            y = _through(convs, pixel_shuffle(grow(y), 2) + skip)
+        return x - pixel_shuffle(self.last(y).astype(x.dtype), 2)[:, :h, :w]
+
+    def objective(
+        self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
+    ) -> jax.Array:
+        """The loss: every other picture of a batch is denoised with its true map, the others with the
+        estimated one, and the estimate is to be near the true one (in ratios)."""
+        true = measured_map(noisy, target)
+        found = self.noise_map(noisy)
+        given = (jnp.arange(len(noisy)) % 2 == 0)[:, None, None, None]
+        told = jnp.where(given, true, jax.lax.stop_gradient(found))
+        wrong = jnp.abs(_told(found) - _told(true)).mean()
+        return penalty(self(noisy, told) - target).mean() + _SHARE * wrong
+
+
+def measured_map(noisy: jax.Array, target: jax.Array) -> jax.Array:
+    """The noise map of (N, H, W, 3) pictures whose noise is known: root mean squares of luma and of what of
+    the colours is not luma."""
+    noise = pad_to_multiple(noisy - target, CELL)
+    luma = jnp.tensordot(noise, jnp.asarray(LUMA_601, noise.dtype), 1)
+    chroma = (noise - luma[..., None]) ** 2
+    return jnp.sqrt(_cells(jnp.stack([luma**2, chroma.mean(-1)], -1), CELL) + 1e-12)
+
+
+def _told(levels: jax.Array) -> jax.Array:
+    """Levels as the network gets them: their logarithm, 0 where there is no noise."""
+    return jnp.log2(1 + levels / _LEAST) / 4
+
+
+def _cells(x: jax.Array, side: int) -> jax.Array:
+    n, h, w, c = x.shape
+    return x.reshape(n, h // side, side, w // side, side, c).mean((2, 4))
+
+
+def _spread(levels: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """Cells interpolated to half the picture's resolution, those beyond the border as the last ones."""
+    side = CELL // 2
+    rows, columns = (-(-n // side) - m for n, m in zip(shape[1:3], levels.shape[1:3]))
+    levels = jnp.pad(levels, ((0, 0), (0, rows), (0, columns), (0, 0)), mode="edge")
+    n, h, w, c = levels.shape
+    return jax.image.resize(levels, (n, h * side, w * side, c), "linear")[:, : shape[1], : shape[2]]
+
+
+def _through(convs: nnx.List[nnx.Conv], x: jax.Array) -> jax.Array:
+    for convolve in convs:
+        x = nnx.relu(convolve(x))
+    return x

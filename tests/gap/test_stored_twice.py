@@ -1,0 +1,50 @@
+"""What two JPEG files leave between them where the change from the one to the other is known."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.gap.pairs.pairs import INNER, to_steps
+from jaxisp.gap.pairs.stored_twice import stored_twice
+from jaxisp.io.jpeg import decode_jpeg
+
+
+def saved(picture, quality=88):
+    """A picture (H, W, 3) in steps as Pillow stores it."""
+    data = io.BytesIO()
+    Image.fromarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8)).save(
+        data, "jpeg", quality=quality, subsampling=0
+    )
+    return decode_jpeg(data.getvalue(), "a")
+
+
+@pytest.mark.parametrize("strength", [0.5, 2.0, 6.0, 20.0])
+def test_it_has_the_energy_that_a_known_change_leaves(strength):
+    rng = np.random.default_rng(0)
+    texture = 40 * gaussian_filter(
+        rng.standard_normal((128, 128, 3)), (1.2, 1.2, 0)
+    ) + 6 * rng.standard_normal((128, 128, 1))
+    first = 128 + texture + 30 * np.sin(np.arange(128) / 9)[:, None, None]
+    change = strength * gaussian_filter(rng.standard_normal((128, 128, 1)), (0.6, 0.6, 0))
+    files = saved(first), saved(first + change)
+    shown = [np.asarray(f.image, np.float32)[None] for f in files]
+    left = to_steps(shown[1][INNER]) - to_steps(shown[0][INNER]) - change[None][INNER] * [1.0, 0, 0]
+    found = stored_twice(*shown, ([files[0]], [files[1]]))
+    assert (found**2).sum(-1).mean() == pytest.approx((left**2).sum(-1).mean(), rel=0.3)
+
+
+def test_the_same_file_twice_leaves_nothing():
+    picture = np.random.default_rng(0).uniform(40, 200, (64, 64, 3))
+    file = saved(picture)
+    shown = np.asarray(file.image, np.float32)[None]
+    assert np.abs(stored_twice(shown, shown, ([file], [file]))).max() < 1e-3
+
+
+def test_without_files_two_roundings_add_up():
+    rough = np.random.default_rng(0).uniform(0.2, 0.8, (1, 64, 64, 3)).astype(np.float32)
+    twice = stored_twice(rough, rough, ([None], [None]))
+    luma = 255 * (np.round(255 * rough) / 255 - rough) @ np.array([0.299, 0.587, 0.114])
+    assert np.mean(twice[..., 0] ** 2) == pytest.approx(4 * np.mean(luma**2), rel=0.1)

@@ -1,0 +1,96 @@
+"""Pairs on disk: each once an epoch, both turned alike, made once; a run with them is resumed to the bit."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxisp.errors import InputError
+from jaxisp.testing import smooth_image
+from jaxisp.train import TrainConfig, train
+from jaxisp.train.pool import PairPool
+from tests.train.test_trainer import SMALL, fingerprint, interrupt_at
+
+
+def numbered(indices):
+    """Pairs that say their index, with a gradient from which turns can be told."""
+    ramp = np.arange(16).reshape(1, 4, 4, 1) / 255
+    noisy = np.asarray(indices).reshape(-1, 1, 1, 1) / 255 + ramp + np.zeros((1, 1, 1, 3))
+    return noisy, noisy / 2
+
+
+@pytest.fixture
+def parts(monkeypatch):
+    monkeypatch.setattr("jaxisp.train.pool.PART", 8)
+
+
+def test_each_pair_comes_once_an_epoch_and_both_are_turned_alike(tmp_path, parts):
+    pool = PairPool(tmp_path / "pool", 4, 12, numbered, batch=4)
+    assert len(pool) == 16 and sorted(p.name for p in (tmp_path / "pool").iterdir()) == [
+        "00000.npy",
+        "00001.npy",
+    ]
+    for epoch in range(2):
+        pairs = pool.batch(range(16 * epoch, 16 * epoch + 16))
+        assert pairs.shape == (16, 2, 4, 4, 3) and pairs.dtype == np.uint8
+        assert sorted(pairs[:, 0].min((1, 2, 3))) == list(range(16))
+        np.testing.assert_allclose(pairs[:, 1], pairs[:, 0] / 2, atol=0.5)
+    first, second = pool.batch(range(16)), pool.batch(range(16, 32))
+    assert (first != second).any()
+    np.testing.assert_array_equal(pool.batch([3, 20]), np.stack([first[3], second[4]]))
+
+
+def test_what_is_whole_is_not_made_again(tmp_path, parts):
+    asked = []
+
+    def make(indices):
+        asked.append(indices)
+        return numbered(indices)
+
+    PairPool(tmp_path / "pool", 4, 16, make, batch=8)
+    (tmp_path / "pool" / "00001.npy").unlink()
+    PairPool(tmp_path / "pool", 4, 16, make, batch=8)
+    assert asked == [range(0, 8), range(8, 16), range(8, 16)]
+
+
+def test_a_file_that_is_none_of_it_is_one_error(tmp_path, parts):
+    (tmp_path / "pool").mkdir()
+    np.save(tmp_path / "pool" / "00000.npy", np.zeros((8, 2, 5, 5, 3), np.uint8))
+    with pytest.raises(InputError, match=r"00000\.npy: is not of this run"):
+        PairPool(tmp_path / "pool", 4, 8, numbered, batch=8)
+    (tmp_path / "pool" / "00000.npy").write_bytes(b"cut off")
+    with pytest.raises(InputError, match=r"00000\.npy: cannot be read"):
+        PairPool(tmp_path / "pool", 4, 8, numbered, batch=8)
+
+
+def test_a_run_with_a_pool_is_resumed_to_the_bit_and_goes_on_from_weights(tmp_path, parts):
+    (tmp_path / "clean").mkdir()
+    for i in range(3):
+        Image.fromarray(np.uint8(255 * smooth_image((36, 40, 3), i))).save(tmp_path / "clean" / f"{i}.png")
+    options = {
+        **SMALL,
+        "model": "levelnet",
+        "model_options": {"features": (8, 8), "depth": 1, "estimator": 4},
+    }
+    config = TrainConfig(
+        clean=(str(tmp_path / "clean"),), **{**options, "patch": 32, "pool": 8, "target": "camera"}
+    )
+    whole = train(config, tmp_path / "whole")
+    assert whole.finished and np.isfinite(whole.loss)
+    stopped = train(config, tmp_path / "stopped", tick=interrupt_at(2))
+    assert stopped.step == 2
+    rest = train(config, tmp_path / "stopped", resume=True)
+    assert fingerprint(rest.state) == fingerprint(whole.state)
+
+    from jaxisp.models import make_model, save_network
+
+    save_network(
+        tmp_path / "start.npz", make_model("levelnet", seed=9, **options["model_options"]), "levelnet", {}
+    )
+    begun = dataclasses.replace(config, start=str(tmp_path / "start.npz"), steps=1)
+    other = train(begun, tmp_path / "begun")
+    fresh = train(dataclasses.replace(config, steps=1), tmp_path / "fresh")
+    leaves = [jax.tree.leaves(run.state.params)[0] for run in (other, fresh)]
+    assert np.abs(leaves[0] - leaves[1]).max() > 1e-3
