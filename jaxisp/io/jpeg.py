@@ -15,7 +15,7 @@ from jaxisp.io.color_space import ColorSpace
 from jaxisp.io.exif import exif_of, new_exif
 from jaxisp.io.files import PathLike, atomic_write, check_pixels, read_bytes
 from jaxisp.io.icc import by_tables, profile_space
-from jaxisp.io.jpeg_frame import Frame, color_profile, frame_header
+from jaxisp.io.jpeg_frame import Frame, color_profile, frame_header, quantization
 from jaxisp.io.orientation import orient
 from jaxisp.io.silence import silent_libraries
 from jaxisp.io.stated_color import StatedColor, stated_space
@@ -100,7 +100,7 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
     if data[:3] != b"\xff\xd8\xff":
         raise InputError(f"{name}: is not a JPEG file")
     try:
-        # not Pillow's profile: it passes over those after the frame header, and those that lack a part
+        # Pillow passes over profiles after the frame header and those that lack a part, and over later tables
         frame, icc = frame_header(data), color_profile(data)
     except (ValueError, struct.error) as error:
         raise InputError(f"{name}: is a damaged or truncated JPEG ({error})") from error
@@ -112,7 +112,7 @@ def decode_jpeg(data: bytes, name: str, *, to_srgb: bool = True) -> Jpeg:
         pixels, converted, space = _in_srgb(pixels, icc, exif.color, name)
     return Jpeg(
         pixels=pixels,
-        tables=_tables(picture, name),
+        tables=_tables(data, frame, name),
         subsampling=frame.subsampling,
         icc=icc,
         converted=converted,
@@ -161,11 +161,11 @@ def why_not(error: Exception) -> str:
     return said if said and not isinstance(error, UnidentifiedImageError) else "a part of it cannot be read"
 
 
-def _tables(picture: Any, name: str) -> np.ndarray:
+def _tables(data: bytes, frame: Frame, name: str) -> np.ndarray:
     try:
-        tables = np.array([picture.quantization[picture.layer[i][3]] for i in range(3)]).reshape(3, 8, 8)
-    except (KeyError, IndexError, ValueError) as error:
-        raise InputError(f"{name}: is a damaged JPEG (a quantisation table is missing)") from error
+        tables = quantization(data, frame)
+    except ValueError as error:
+        raise InputError(f"{name}: is a damaged JPEG ({error})") from error
     if tables.min() < 1:
         raise InputError(
             f"{name}: is a damaged JPEG (a quantisation step of {tables.min()}, expected 1 or more)"

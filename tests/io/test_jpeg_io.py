@@ -63,6 +63,36 @@ def test_tables_are_in_natural_order(tmp_path):
     np.testing.assert_array_equal(list(data[at : at + 64]), luma.ravel()[ZIGZAG])
 
 
+def test_a_table_that_stands_in_a_slot_later_is_not_that_of_earlier_scans():
+    """Scans of one component each, all of one slot, which holds another table before each; libjpeg decodes
+    the same pixels as of three slots."""
+    steps = [np.full(64, 3), np.arange(1, 65), np.arange(300, 364)]
+    tables = [b"\xff\xdb" + struct.pack(">HB64H", 131, 16, *own) for own in steps]
+    code = b"\xff\xc4" + struct.pack(">HB16B2B", 21, 0, 0, 2, *(0,) * 14, 0, 3)  # DC: categories 0 and 3
+    code += b"\xff\xc4" + struct.pack(">HB16BB", 20, 16, 0, 1, *(0,) * 14, 0)  # AC: end of block
+    head = b"\xff\xc1" + struct.pack(">HBHHB", 17, 8, 8, 8, 3)
+
+    def scan(i: int) -> bytes:  # one block: a DC of 4 or 7 or -7 steps, then its end, then ones
+        bits = ("01" + ("100", "111", "000")[i] + "00").ljust(8, "1")
+        return b"\xff\xda" + struct.pack(">HB5B", 8, 1, i + 1, 0, 0, 63, 0) + bytes([int(bits, 2)])
+
+    def file(slots) -> bytes:
+        frame = head + bytes(v for i in range(3) for v in (i + 1, 0x11, slots[i]))
+        body = b"".join(tables[i] + scan(i) if len(set(slots)) == 1 else scan(i) for i in range(3))
+        three = (
+            b""
+            if len(set(slots)) == 1
+            else b"".join(t[:4] + bytes([16 + i]) + t[5:] for i, t in enumerate(tables))
+        )
+        return b"\xff\xd8" + three + code + frame + body + b"\xff\xd9"
+
+    one, three = decode_jpeg(file((0, 0, 0)), "a"), decode_jpeg(file((0, 1, 2)), "a")
+    np.testing.assert_array_equal(one.pixels, three.pixels)
+    for jpeg in (one, three):
+        assert [jpeg.tables[i].ravel()[ZIGZAG].tolist() for i in range(3)] == [own.tolist() for own in steps]
+    refused(file((0, 0, 0)).replace(tables[0], b""), "damaged")
+
+
 def test_standard_tables_are_annex_k():
     """First rows of tables K.1 and K.2 of ITU-T T.81."""
     luma, chroma = quality_tables(50)
