@@ -102,7 +102,7 @@ def clean_case_on_reference(
     stated = stated_by(file) | ({"double_compression"} if file is None and not seen else set())
     return Case(
         kind=CLEAN_NOISY, criteria=criteria, pairs=pairs, evidence=objective, point=objective.at(model, z),
-        floors=objective.floors, absorbed={}, offered=[n for n in model.effects if n not in stated],
+        floors=np.ones(len(pairs.names)), absorbed={}, offered=[n for n in model.effects if n not in stated],
         statistics=objective, seen=seen, given="plain camera, fitted to the reference",
         reference=fitted.case.reference, reference_gap=fitted.case.gap().before,
     )  # fmt: skip

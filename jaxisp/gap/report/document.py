@@ -78,7 +78,7 @@ def report_of(
         "schema": 1,
         "kind": case.kind,
         "base": base_row(case.point.model, case.point.z, case.absorbed, case.given, opened, ended)
-        | case.about,
+        | dict(case.about),
         "pairs": {
             "fit": [case.pairs.names[i] for i in case.split.fit],
             "held_out": [case.pairs.names[i] for i in held],
@@ -184,11 +184,11 @@ def _unexplained(case: Case, gap: Gap, found: Found, reducible: Mapping[str, Any
     if found.refused is None:
         return row
     causes = found.refused.causes
-    reached = causes[-1][0].after
+    then = causes[-1][0].after
     nearest = {
         "effects": [t.effect for t, _ in causes],
-        "closed": float((gap.before - reached) / gap.scale),
-        "axes": axes(found.refused.after.where, reached),
+        "closed": float((gap.before - then) / gap.scale),
+        "axes": axes(found.refused.after.where, then),
     }
     return row | {"nearest": nearest}
 

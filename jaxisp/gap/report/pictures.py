@@ -61,7 +61,7 @@ def candidate(case: Case, found: Found) -> dict[str, Any]:
     likely = sorted(trials.values(), key=lambda t: -found.probabilities[t.effect])
     first = [trial for trial, _ in found.causes] or likely
     model, own = case.point.model, case.point.model.indices([first[0].effect]) if first else []
-    shown = case.pixels or (case.statistics and case.statistics.measure)
+    shown = case.statistics.measure if case.statistics is not None else case.pixels
     if not own or shown is None:
         return {}
     without, i = first[0].z.copy(), case.split.held_out[0]

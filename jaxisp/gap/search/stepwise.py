@@ -91,8 +91,8 @@ def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms,
     if not (terms.most and names):
         drops, screened = screen(evidence, start, names)
         least = terms.visible
-        unseen, seen = (of(evidence, screened, names, least) for of in (hidden, smallest))
-        return Searched([], {}, drops, unseen, seen)
+        hid, small = hidden(evidence, screened, names, least), smallest(evidence, screened, names, least)
+        return Searched([], {}, drops, hid, small)
     at, left, criteria = start, list(names), terms.criteria
     causes: list[Cause] = []
     first_trials: dict[str, Trial] = {}
@@ -107,7 +107,8 @@ def search(evidence: Evidence, start: Point, names: Sequence[str], terms: Terms,
         trials, drops, at = _tried(evidence, views, left, accepted, terms, tick)
         if step == 0:
             first_trials, first_drops = {t.effect: t for t in trials}, drops
-            unseen, seen = (of(evidence, at, names, terms.visible) for of in (hidden, smallest))
+            unseen = hidden(evidence, at, names, terms.visible)
+            seen = smallest(evidence, at, names, terms.visible)
             agreed = halves(evidence, at, [t.effect for t in trials])
         elif criteria.anew:
             tick(step, terms.most, "fitting the best anew")

@@ -132,19 +132,19 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     if not causes and found.causes:
         end = ended(evidence, start, *(t for t, _ in found.causes))
         refused = Refused(by_closure(found.causes), shown(evidence, end), end)
-    end = None
+    above: Gap | None = None
     if causes:
         causes, after, at = _as_added(case, causes, after, at, terms)
-        end = case.gap_above(gap, at)
-        causes = [(t.share_of(gap.scale / end.scale), alike) for t, alike in causes]
-        trials = {name: t.share_of(gap.scale / end.scale) for name, t in trials.items()}
+        above = case.gap_above(gap, at)
+        causes = [(t.share_of(gap.scale / above.scale), alike) for t, alike in causes]
+        trials = {name: t.share_of(gap.scale / above.scale) for name, t in trials.items()}
     reached = causes[-1][0].after if causes else gap.before
-    left = left_signs(end or gap, reached, max(probable.values(), default=0.0))
+    left = left_signs(above or gap, reached, max(probable.values(), default=0.0))
     probable |= {q: score.probability(q, left) for q in (score.OTHER, score.NONE)}
     accepted = [t.effect for t, _ in found.causes] + [n for n in trials if n not in found.trials]
     return Found(
         causes, at, trials, predicted, before, after, refused, found.hidden, accepted, noted, probable,
-        found.smallest, end,
+        found.smallest, above,
     )  # fmt: skip
 
 
