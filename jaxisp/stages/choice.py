@@ -106,7 +106,7 @@ def demosaicking(
     Raises:
         ValueError: unknown pattern, or an algorithm that is not for it.
 
-    Gradient: exact to the shares; to the image that of the algorithms.
+    Gradient: surrogate: exact to the shares; to the image that of the algorithms.
 
     Source: see the stages named.
     """
