@@ -51,6 +51,12 @@ class Unprocessed(Around):
     the gains are applied and the mosaic is clipped to [0, 1], after it the inverse of M.
 
     Source: Brooks et al. 2019, "Unprocessing Images for Learned Raw Denoising", sections 3.2 to 3.4.
+
+    Example:
+        >>> import jaxisp
+        >>> chain = jaxisp.Chain((jaxisp.stage("mosaic"), jaxisp.stage("demosaic_bilinear")))
+        >>> list(jaxisp.Unprocessed(chain).names())
+        ['unprocessed', 'mosaic', 'demosaic_bilinear']
     """
 
     node: Node

@@ -13,7 +13,7 @@ MODULES = (
     "jaxisp.errors", "jaxisp.io.images", "jaxisp.losses", "jaxisp.metrics", "jaxisp.models", "jaxisp.node",
     "jaxisp.params", "jaxisp.phase", "jaxisp.pipeline", "jaxisp.priors", "jaxisp.process.cache",
     "jaxisp.process.memory", "jaxisp.recipe", "jaxisp.recipes", "jaxisp.registry", "jaxisp.samples.scenes",
-    "jaxisp.testing",
+    "jaxisp.testing", "jaxisp.unprocess",
 )  # fmt: skip
 
 

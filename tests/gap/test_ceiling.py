@@ -62,7 +62,8 @@ CASE = types.SimpleNamespace(pixels=None, statistics=None, criteria=CRITERIA["ra
 ])  # fmt: skip
 def test_what_is_named_is_a_share_of_what_flexible_models_close(after, share, how):
     found = ceiling.reducible(CASE, Gap(10.0, 1.0), None, after, [3.0, 1.0])
-    assert found == {"best": 1.0, "how": how, "explained": pytest.approx(share)}
+    models = {"the named effects": after, "an effect that was refused": 1.0}
+    assert found == {"best": 1.0, "how": how, "models": models, "explained": pytest.approx(share)}
 
 
 def test_where_nothing_can_be_lowered_no_share_is_said():

@@ -17,6 +17,7 @@ REFERENCES = {
     "prophoto_oetf": colour.models.cctf_encoding_ROMMRGB,
     "prophoto_eotf": colour.models.cctf_decoding_ROMMRGB,
 }
+POWERS = {"gamma22_oetf": 1 / 2.2, "gamma22_eotf": 2.2}
 PAIRS = [("srgb_oetf", "srgb_eotf"), ("rec709_oetf", "rec709_eotf"), ("prophoto_oetf", "prophoto_eotf")]
 RAMP = np.concatenate([np.geomspace(1e-5, 1, 150), np.linspace(0, 1, 150)])
 
@@ -91,7 +92,17 @@ def test_slope_in_single_precision_is_finite_and_positive(name):
 
 def test_every_transfer_function_has_a_reference():
     names = {n for n, fn in REGISTRY.items() if fn.__module__ == "jaxisp.stages.transfer"}
-    assert names == set(REFERENCES)
+    assert names == {*REFERENCES, *POWERS}
+
+
+@pytest.mark.parametrize("name", sorted(POWERS))
+def test_a_power_is_flat_below_its_darkest_value(name, x64):
+    values = np.concatenate([-RAMP, RAMP, [4.0]])
+    np.testing.assert_allclose(curve(name, values), np.maximum(values, 1e-8) ** POWERS[name], rtol=1e-9)
+    node = stage(name)
+    slope = jax.vmap(jax.grad(lambda x: node({}, jnp.full((1, 1, 3), x))[0, 0, 0]))
+    at = np.array([0.01, 0.5, 1.0, 3.0])
+    np.testing.assert_allclose(slope(jnp.asarray(at)), POWERS[name] * at ** (POWERS[name] - 1), rtol=1e-6)
 
 
 def test_legacy_curves_are_the_published_formulas(x64):
