@@ -29,11 +29,13 @@ OPTIONS = {
     "demosaic_markesteijn": {"passes": [1, 3], "clipped": [True, False]},
     "demosaic_menon": {"refining": [True, False]},
     "demosaic_normalized_convolution": {"cfa": ["RGGB", XTRANS]},
+    "guided_filter": {"radius": [1, 3]},
     "jpeg": {"subsampling": ["4:2:0", "4:4:4"], "row_phase": [0, 5]},
     "jpeg_file": {"subsampling": ["4:2:0"], "components": ["YCbCr", "RGB"], "converts": [True, False]},
     "jpeg_photoshop": {"subsampling": ["auto", "4:2:0"]},
     "jpeg_tables": {"subsampling": ["4:2:0"], "column_phase": [0, 11]},
     "median": {"footprint": ["cross", "5x5"], "iterations": [1, 3]},
+    "nonlocal_means": {"search": [2, 4], "patch": [0, 2]},
 }
 """Options that may change how far a stage looks; each combination is tried."""
 
@@ -92,7 +94,16 @@ def test_a_stage_looks_no_farther_than_its_reach(node):
 
 def test_every_option_that_may_change_a_reach_is_tried():
     """Where a stage gets an option, try it above, or say here that it does not matter."""
-    without = {"cfa", "chroma_bins", "chroma_cell", "luma", "chroma", "row_phase", "column_phase"}
+    without = {
+        "cfa",
+        "in_14_bits",
+        "chroma_bins",
+        "chroma_cell",
+        "luma",
+        "chroma",
+        "row_phase",
+        "column_phase",
+    }
     for node in FAR:
         tried = {*OPTIONS.get(node.name, {}), *SMALL.get(node.name, {})}
         assert set(node.options) - without <= tried, node.name

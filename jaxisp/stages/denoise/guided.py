@@ -52,9 +52,8 @@ def guided_plane(plane: jax.Array, guide: jax.Array, edge: jax.Array | float, ra
     def mean(x: jax.Array) -> jax.Array:
         return materialize(filter_rows_columns(x, taps, taps))
 
-    # about the mean of all: a variance that is a difference of squares loses digits otherwise
-    about = jax.lax.stop_gradient(guide.mean())
-    centred = guide - about
+    # about the middle of the range: a variance that is a difference of squares loses digits otherwise
+    centred = guide - 0.5
     of_guide, of_plane = mean(centred), mean(plane)
     variance = jnp.maximum(mean(centred * centred) - of_guide * of_guide, 0)
     slope = (mean(centred * plane) - of_guide * of_plane) / (variance + edge * edge)
