@@ -60,7 +60,8 @@ def candidate(case: Case, found: Found) -> dict[str, Any]:
     trials = {name: t for name, t in found.trials.items() if name in found.probabilities}
     likely = sorted(trials.values(), key=lambda t: -found.probabilities[t.effect])
     first = [trial for trial, _ in found.causes] or likely
-    model, own = case.point.model, case.point.model.indices([first[0].effect]) if first else []
+    model = case.point.model
+    own = model.indices([first[0].effect]) if first and first[0].effect in model.effects else []
     shown = case.statistics.measure if case.statistics is not None else case.pixels
     if not own or shown is None:
         return {}
