@@ -23,6 +23,7 @@ def parse() -> argparse.Namespace:
     runs.add_argument("-o", "--out", type=Path, required=True, help="gets a JSON file a case")
     runs.add_argument("--match", default="")
     runs.add_argument("--limit", type=int)
+    runs.add_argument("--sample", action="store_true", help="every switch and every camera once")
     runs.add_argument(
         "--how", choices=HOW, default=HOW[0], help="pairs alone, beside a reference, or as two pictures"
     )
@@ -44,7 +45,9 @@ def main() -> None:
     if arguments.command == "table":
         print(markdown(records(arguments.out)))
         return
-    found = run(arguments.cases, arguments.out, arguments.match, arguments.how, arguments.limit)
+    found = run(
+        arguments.cases, arguments.out, arguments.match, arguments.how, arguments.limit, arguments.sample
+    )
     if arguments.json:
         print(json.dumps(summary(found)))
 

@@ -72,5 +72,19 @@ def cases(half: str) -> Iterator[Case]:
     yield from found
 
 
+def sample(half: str) -> list[Case]:
+    """A part of a half that is chosen before anything is run: every switch once, at its middle strength, and
+    every camera's plain profile once, shuffled, so that a run that is cut short is a sample as well."""
+    found: dict[tuple[str, ...], Case] = {}
+    for case in sorted(cases(half), key=lambda case: order("sample", case.name)):
+        if case.switch != LOSSLESS and case.level in (0, _middle(case)):
+            found.setdefault((case.converter, case.switch) if case.level else (case.camera,), case)
+    return list(found.values())
+
+
+def _middle(case: Case) -> int:
+    return (1 + len(case.what.levels)) // 2
+
+
 def _seen_by(converter: str, switch: str) -> list[str]:
     return sorted(CAMERAS, key=lambda camera: order(converter, switch, camera))[:_CAMERAS_EACH]

@@ -12,6 +12,9 @@ from typing import Any
 
 from jaxisp.io.files import atomic_write
 
+from .cases import sample
+from .chance import HALVES
+
 _CASES = 6
 """Of one process: its compiled programs come to gigabytes."""
 HOW = PAIRS, REFERENCE, PICTURES = ("pairs", "reference", "pictures")
@@ -19,7 +22,14 @@ HOW = PAIRS, REFERENCE, PICTURES = ("pairs", "reference", "pictures")
 Record = dict[str, Any]
 
 
-def run(folder: Path, out: Path, match: str = "", how: str = PAIRS, limit: int | None = None) -> list[Record]:
+def run(
+    folder: Path,
+    out: Path,
+    match: str = "",
+    how: str = PAIRS,
+    limit: int | None = None,
+    sampled: bool = False,
+) -> list[Record]:
     """Diagnose the cases whose name matches; returns all records of `out`.
 
     Args:
@@ -28,9 +38,13 @@ def run(folder: Path, out: Path, match: str = "", how: str = PAIRS, limit: int |
         match: a regular expression.
         how: one of `HOW`.
         limit: the most cases that are diagnosed now.
+        sampled: only those of `cases.sample`, in its order.
     """
     out.mkdir(parents=True, exist_ok=True)
     found = [path.parent for path in sorted(folder.glob("*/truth.json"), key=_order)]
+    if sampled:
+        chosen = [case.name for half in HALVES for case in sample(half)]
+        found = sorted((c for c in found if c.name in chosen), key=lambda case: chosen.index(case.name))
     todo = [case for case in found if re.search(match, case.name) and possible(case, how)]
     todo = [case for case in todo if not (out / f"{case.name}.json").exists()][:limit]
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=_CASES) as pool:
