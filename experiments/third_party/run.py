@@ -43,7 +43,8 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     found = [path.parent for path in sorted(folder.glob("*/truth.json"), key=_order)]
     if sampled:
-        chosen = [case.name for half in HALVES for case in sample(half)]
+        halves = {json.loads((case / "truth.json").read_text())["half"] for case in found}
+        chosen = [case.name for half in HALVES if half in halves for case in sample(half)]
         found = sorted((c for c in found if c.name in chosen), key=lambda case: chosen.index(case.name))
     todo = [case for case in found if re.search(match, case.name) and possible(case, how)]
     todo = [case for case in todo if not (out / f"{case.name}.json").exists()][:limit]

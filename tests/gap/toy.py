@@ -52,6 +52,7 @@ class Line:
     axes: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     follows = False
+    compact = False
 
     def at(self, model: Model, z: np.ndarray) -> Point:
         variant = float(model.shared.get("variant", 0.0))

@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 from jaxisp.gap.case import Case, Gap
 from jaxisp.gap.downstream.networks import programs
 from jaxisp.gap.gauss_newton import fit
-from jaxisp.gap.objective.pixels import PixelObjective, tiled
+from jaxisp.gap.objective.pixels import InParts, PixelObjective, tiled
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.pairs import INNER
 from jaxisp.gap.search.refit import searched
@@ -76,7 +76,8 @@ def _together(pixels: PixelObjective, point: Point, names: Sequence[str]) -> flo
     """The held-out gap with all effects fitted together with the base, except those searched on a grid."""
     model, gridded = point.model, searched(point.model, names)
     which = [*model.base_indices, *(i for i in model.indices(names) if i not in gridded)]
-    z = fit(*pixels.fitted(point), which, steps=1).point.z
+    part, start = pixels.fitted(point)
+    z = fit(InParts(part), start, which, steps=1).point.z
     held, there = pixels.held_out(point)
     return float(np.nanmean(held.units(held.at(there.model, z))))
 

@@ -24,6 +24,10 @@ from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io import Jpeg
 
 _TILE = 60  # px a side of what intervals are drawn from, about
+_PART = 3 * 2**15
+"""Numbers of a picture that are multiplied at once."""
+_MOST = 400_000_000
+"""Bytes of columns of `InParts`."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,6 +55,7 @@ class PixelObjective:
     earlier: tuple[int, int] = (0, 0)
 
     follows = False
+    compact = False
 
     @classmethod
     def of(
@@ -133,10 +138,10 @@ class PixelObjective:
         n = len(self.target)
         if not which:
             return NormalEquations(np.zeros((n, 0, 0)), np.zeros((n, 0)))
-        stacked = np.stack([point.columns[i].reshape(n, -1) for i in which], 1)
-        scale = 1 / self.counts[:, None]
-        gram, right = map(np.asarray, _products(stacked, self.residual(point).reshape(n, -1)))
-        return NormalEquations(gram * scale[..., None], right * scale)
+        rows = [*(point.columns[i].reshape(n, -1) for i in which), self.residual(point).reshape(n, -1)]
+        products = np.stack([_products([row[pair] for row in rows]) for pair in range(n)])
+        products /= self.counts[:, None, None]
+        return NormalEquations(products[:, :-1, :-1], products[:, :-1, -1])
 
     def follow(self, point: Point, to: Point) -> Point:
         """`to` as it is: columns of pixels are computed anew."""
@@ -169,6 +174,11 @@ class PixelObjective:
 
     def held_out(self, point: Point) -> tuple["PixelObjective", Point]:
         return self._held_out, self._held_out._taken(point.with_columns({}), self.split.held_out)
+
+    def part(self, point: Point, which: Sequence[int]) -> tuple["PixelObjective", Point]:
+        """The objective of some of the pairs, and a point of all as a point of these."""
+        part = self.take(which)
+        return part, part._taken(point, which)
 
     def _taken(self, point: Point, which: Sequence[int]) -> Point:
         """A point of all pairs as a point of these, which are some of them."""
@@ -248,11 +258,50 @@ def tiled(square: np.ndarray, counts: np.ndarray, side: int = _TILE) -> np.ndarr
     return sums * (rows * columns / counts)[:, None]
 
 
+def _products(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """(K, K) of K rows (P,), summed over parts of them: a stack of whole rows would be another copy."""
+    found = np.zeros((len(rows), len(rows)))
+    for start in range(0, len(rows[0]), _PART):
+        found += np.asarray(_squared(np.stack([row[start : start + _PART] for row in rows])))
+    return found
+
+
 @jax.jit
-def _products(columns: jax.Array, residual: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(N, K, K) and (N, K) of (N, K, P) and (N, P).
+def _squared(rows: jax.Array) -> jax.Array:
+    """(K, K) of (K, P).
 
     By XLA: OpenBLAS' threads wait by spinning, which takes fifty times as long on a busy machine.
     """
-    product = functools.partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
-    return product("nkp,nlp->nkl", columns, columns), product("nkp,np->nk", columns, residual)
+    return jnp.einsum("kp,lp->kl", rows, rows, precision=jax.lax.Precision.HIGHEST)
+
+
+@dataclasses.dataclass(frozen=True)
+class InParts:
+    """Pixels for a fit over so many coordinates that the columns of all pairs would not fit in memory.
+
+    Columns are computed for some pairs at a time, and only their products are kept.
+    """
+
+    pixels: PixelObjective
+
+    follows = False
+    compact = False
+
+    def at(self, model: Model, z: np.ndarray) -> Point:
+        return self.pixels.at(model, z)
+
+    def compute(self, point: Point, which: Sequence[int], steps: Mapping[int, float] | None = None) -> Point:
+        """The point as it is."""
+        return point
+
+    def normal(self, point: Point, which: Sequence[int]) -> NormalEquations:
+        count, found = len(self.pixels.target), []
+        at_once = max(1, _MOST // max(len(which) * self.pixels.target[0].nbytes, 1))
+        for first in range(0, count, at_once):
+            index = range(first, min(first + at_once, count))
+            part, there = self.pixels.part(point, index)
+            found.append(part.normal(part.compute(there, which), which))
+        return NormalEquations(*map(np.concatenate, zip(*found)))
+
+    def follow(self, point: Point, to: Point) -> Point:
+        return self.pixels.follow(point, to)

@@ -25,6 +25,7 @@ class Point:
         errors: (N,) mean square error of each pair, in the objective's unit.
         shown: what the errors are of: pictures, or statistics and means of blocks.
         columns: by coordinate, the change of `shown` per unit of z, as far as computed.
+        normals: by coordinates, normal equations that were computed here; their columns may be gone.
     """
 
     model: Model
@@ -32,6 +33,7 @@ class Point:
     errors: np.ndarray
     shown: tuple[np.ndarray, ...] = ()
     columns: Mapping[int, np.ndarray] = dataclasses.field(default_factory=dict)
+    normals: Mapping[tuple[int, ...], "NormalEquations"] = dataclasses.field(default_factory=dict)
 
     @property
     def error(self) -> float:
@@ -56,6 +58,10 @@ class Objective(Protocol):
     @property
     def follows(self) -> bool:
         """Whether columns may be taken along to another point."""
+
+    @property
+    def compact(self) -> bool:
+        """Whether columns are so small that those of all effects can be kept at once."""
 
     def at(self, model: Model, z: np.ndarray) -> Point:
         """Evaluate the errors of a model at z."""

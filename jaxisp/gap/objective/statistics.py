@@ -62,6 +62,7 @@ class StatisticsObjective:
     reported: tuple[int, ...] | None = None
 
     follows = True
+    compact = True
     rival: Variant | None = None
     references: Mapping[int, float] = dataclasses.field(default_factory=dict)
 

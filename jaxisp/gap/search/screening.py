@@ -1,6 +1,7 @@
 """Screening of all effects by secants, and selection of the best refitted effect."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,9 +12,12 @@ from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.search.refit import distant, lowest, searched, switched_on
 from jaxisp.gap.search.trial import Trial
 from jaxisp.gap.simulator.effects import EFFECTS
+from jaxisp.gap.simulator.model import Model
 
 _ALONG = (1.0, 0.5, 0.25)
 """Shares of a step that are tried."""
+_AT_ONCE = 24
+"""Coordinates of effects whose columns are held at a time, but for one effect that has more."""
 
 
 def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict[str, float], Point]:
@@ -24,18 +28,13 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
     Returns:
         the predicted drop by effect; the point with the columns computed for it.
     """
-    model, split = point.model, evidence.split
-    base = model.base_indices + switched_on(point)
+    model, split, base = point.model, evidence.split, _base(point)
     steps = {i: lowest(evidence, point, i) for i in searched(model, names)}
-    wanted = [*base, *model.indices(names)]
-    point = evidence.compute(point, wanted, steps | distant(evidence, point, names))
+    point = _with_normals(evidence, point, names, steps | distant(evidence, point, names))
     halves = [(split.fit, split.held_out), (split.held_out, split.fit)]
-    gram, slope = evidence.normal(point, sorted(point.columns))
-    order = {i: k for k, i in enumerate(sorted(point.columns))}
 
     def drop(which: Sequence[int]) -> float:
-        at = [order[i] for i in which]
-        own = NormalEquations(gram[:, at][:, :, at], slope[:, at])
+        own = _normal(evidence, point, which)
         total = 0.0
         for learn, apply in halves:
             move = _step(point, which, own, learn)
@@ -45,8 +44,55 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
 
     own = drop(base) if base else 0.0
     return {
-        name: drop([*base, *model.indices([name])]) - own - _anyway(evidence, point, name) for name in names
+        name: drop(_with_base(point, name)) - own - _anyway(evidence, point, name) for name in names
     }, point
+
+
+def _base(point: Point) -> list[int]:
+    """The coordinates of the base and of what is switched on."""
+    return [*point.model.base_indices, *switched_on(point)]
+
+
+def _with_base(point: Point, name: str) -> list[int]:
+    return [*_base(point), *point.model.indices([name])]
+
+
+def _with_normals(
+    evidence: Objective, point: Point, names: Sequence[str], steps: Mapping[int, float]
+) -> Point:
+    """The point with the normal equations of each effect beside the base.
+
+    The columns of a few effects at a time are computed. The point keeps those of the base, and those of
+    effects where they are small.
+    """
+    model = point.model
+    point = evidence.compute(point, _base(point), steps)
+    normals = dict(point.normals)
+    for some in _batches(model, names):
+        there = evidence.compute(point, model.indices(some), steps)
+        for name in some:
+            which = _with_base(point, name)
+            normals[tuple(which)] = evidence.normal(there, which)
+        point = there if evidence.compact else point
+    return dataclasses.replace(point, normals=normals)
+
+
+def _batches(model: Model, names: Sequence[str]) -> Iterator[list[str]]:
+    """The effects in order, as many at a time as have `_AT_ONCE` coordinates, or one."""
+    batch: list[str] = []
+    for name in names:
+        if batch and len(model.indices([*batch, name])) > _AT_ONCE:
+            yield batch
+            batch = []
+        batch.append(name)
+    if batch:
+        yield batch
+
+
+def _normal(evidence: Objective, point: Point, which: Sequence[int]) -> NormalEquations:
+    """The normal equations that the point has, or those of its columns."""
+    known = point.normals.get(tuple(which))
+    return evidence.normal(point, which) if known is None else known
 
 
 def halves(evidence: Evidence, point: Point, names: Sequence[str]) -> dict[str, float]:
@@ -55,15 +101,14 @@ def halves(evidence: Evidence, point: Point, names: Sequence[str]) -> dict[str, 
     Each half takes a step of its own, beside the base. The value is the correlation of the changes that
     the effect's part of the two steps makes. The point needs the columns of `screen`.
     """
-    model, split = point.model, evidence.split
-    base = [*model.base_indices, *switched_on(point)]
+    split = evidence.split
+    base = len(_base(point))
     found = {}
     for name in names:
-        own = model.indices([name])
-        which = [*base, *own]
-        normal = evidence.normal(point, which)
-        one, other = (_step(point, which, normal, half)[len(base) :] for half in (split.fit, split.held_out))
-        gram = normal.gram.mean(0)[len(base) :, len(base) :]
+        which = _with_base(point, name)
+        normal = _normal(evidence, point, which)
+        one, other = (_step(point, which, normal, half)[base:] for half in (split.fit, split.held_out))
+        gram = normal.gram.mean(0)[base:, base:]
         size = float(np.sqrt((one @ gram @ one) * (other @ gram @ other)))
         found[name] = float(one @ gram @ other) / size if size > 0 else 0.0
     return found
@@ -79,7 +124,7 @@ def hidden(objective: Objective, point: Point, names: Sequence[str], least: floa
     """
     model = point.model
     names = [name for name in names if not searched(model, [name])]
-    beyond = _beyond_base(objective, point, model.indices(names))
+    beyond = _beyond_base(objective, point, names)
 
     def change(name: str) -> float:
         own = model.indices([name])
@@ -98,7 +143,7 @@ def smallest(
     """
     model = point.model
     names = [name for name in names if not searched(model, [name])]
-    beyond = _beyond_base(objective, point, model.indices(names))
+    beyond = _beyond_base(objective, point, names)
     found = {}
     for name in names:
         own = model.indices([name])
@@ -110,17 +155,19 @@ def smallest(
     return found
 
 
-def _beyond_base(objective: Objective, point: Point, which: Sequence[int]) -> dict[int, float]:
-    """By coordinate, the mean square change of the pairs per unit that the base cannot imitate."""
-    model = point.model
-    order = {i: k for k, i in enumerate(sorted(point.columns))}
-    gram = objective.normal(point, list(order)).gram.mean(0)
-    base = [order[i] for i in (*model.base_indices, *switched_on(point))]
-    onto = np.linalg.pinv(gram[np.ix_(base, base)], rcond=1e-9, hermitian=True)
-    at = [order[i] for i in which]
-    across = gram[np.ix_(at, base)]
-    beyond = np.diag(gram)[at] - np.einsum("kb,bc,kc->k", across, onto, across)
-    return dict(zip(which, beyond))
+def _beyond_base(objective: Objective, point: Point, names: Sequence[str]) -> dict[int, float]:
+    """By coordinate of these effects, the mean square change of the pairs per unit that the base cannot
+    imitate."""
+    count = len(_base(point))
+    found: dict[int, float] = {}
+    for name in names:
+        which = _with_base(point, name)
+        gram = _normal(objective, point, which).gram.mean(0)
+        onto = np.linalg.pinv(gram[:count, :count], rcond=1e-9, hermitian=True)
+        across = gram[count:, :count]
+        beyond = np.diag(gram)[count:] - np.einsum("kb,bc,kc->k", across, onto, across)
+        found |= dict(zip(which[count:], beyond))
+    return found
 
 
 def _step(point: Point, which: Sequence[int], normal: NormalEquations, learn: Sequence[int]) -> np.ndarray:
@@ -151,8 +198,8 @@ def predicted(evidence: Evidence, point: Point, effect: str) -> float:
     depend on most effects nonlinearly, so that a linear prediction is too small for them.
     """
     model, split = point.model, evidence.split
-    which = [*model.base_indices, *switched_on(point), *model.indices([effect])]
-    move = _step(point, which, evidence.normal(point, which), split.fit)
+    which = _with_base(point, effect)
+    move = _step(point, which, _normal(evidence, point, which), split.fit)
 
     def along(share: float) -> np.ndarray:
         z = point.z.copy()

@@ -176,7 +176,11 @@ def _tried(
     every = (*split.fit, *split.held_out)
     tick(step, terms.most, "screening effects")
     screened = [screen(evidence, view.point, left) for view in views]
-    views = [view._replace(point=point) for view, (_, point) in zip(views, screened)]
+    # fits start at the first view alone
+    views = [
+        view._replace(point=point if k == 0 else point.with_columns({}))
+        for k, (view, (_, point)) in enumerate(zip(views, screened))
+    ]
     drops = _most(views, [found for found, _ in screened], every)
     point = views[0].point
     forms = _forms(evidence, point, left, criteria)
