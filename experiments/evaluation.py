@@ -20,6 +20,7 @@ import numpy as np
 
 from experiments import real_gap_tables
 from experiments.null_bank import left_out
+from experiments.third_party import tables as switches
 from experiments.withheld.effects import ABSORBABLE, KINDS
 from experiments.withheld.libraw import SWITCHES
 from experiments.withheld.study import written
@@ -389,7 +390,7 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
     def read(name: str) -> Any:
         return json.loads((results / name).read_text())
 
-    found = read("diagnosis.json")
+    found, others = read("diagnosis.json"), read("third-party.json")
     main = cases_of(found, "nulls", "main")
     whole = [r for r in main if "failed" not in r]
     return {
@@ -404,7 +405,10 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "grey": variant(cases_of(found, "grey")),
         "stripped": variant(cases_of(found, "stripped")),
         "libraw": libraw(cases_of(found, "libraw")),
-        "third-party": third_party(read("third-party.json")),
+        "third-party": third_party(others["earlier"]),
+        "switches": switches.rates(others["switches"]["records"]),
+        "switches-by-case": switches.by_case(others["switches"]["records"]),
+        "switches-left": ", ".join(others["switches"]["not run"]) + "\n",
         "fresh": fresh(read("fresh-scenes.json")),
         "drops": drops(read("null-drops.json")),
         "null-bank": null_bank([*cases_of(found, "nulls"), *cases_of(found, "frames")]),

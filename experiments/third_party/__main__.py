@@ -4,6 +4,9 @@ import argparse
 import json
 from pathlib import Path
 
+from jaxisp.io.files import atomic_write
+
+from .cases import sample
 from .chance import HALVES
 from .run import HOW, records, run
 
@@ -30,6 +33,10 @@ def parse() -> argparse.Namespace:
     runs.add_argument("--json", action="store_true", help="print counts as JSON at the end")
     table = commands.add_parser("table", help="Markdown tables of a run")
     table.add_argument("out", type=Path, help="what `run` wrote")
+    collect = commands.add_parser("collect", help="put a run of a sample into a file of results")
+    collect.add_argument("out", type=Path, help="what `run --sample` wrote")
+    collect.add_argument("--into", type=Path, default=Path("docs/results/third-party.json"))
+    collect.add_argument("--half", choices=HALVES, required=True)
     return parser.parse_args()
 
 
@@ -40,8 +47,17 @@ def main() -> None:
 
         make(arguments.data, arguments.out, arguments.half, arguments.size, arguments.match, arguments.levels)
         return
-    from .tables import markdown, summary
+    from .tables import kept, markdown, summary
 
+    if arguments.command == "collect":
+        result = json.loads(arguments.into.read_text())
+        done = [kept(record) for record in records(arguments.out)]
+        left = [case.name for case in sample(arguments.half)]
+        left = [name for name in left if name not in [r["truth"]["case"] for r in done]]
+        result["switches"] = {"half": arguments.half, "records": done, "not run": left}
+        with atomic_write(arguments.into) as file:
+            file.write((json.dumps(result, indent=1) + "\n").encode())
+        return
     if arguments.command == "table":
         print(markdown(records(arguments.out)))
         return

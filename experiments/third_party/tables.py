@@ -98,16 +98,35 @@ def groups(records: Sequence[Record]) -> dict[str, list[Record]]:
 
 def markdown(records: Sequence[Record]) -> str:
     """The rates by size, by converter and by switch, and a line for each case."""
-    rows = [
-        [name, len(own), *(share(own, hit) for hit in RATES.values())]
-        for name, own in groups(records).items()
-        if own
-    ]
     return "\n".join([
-        table(["cases", "number", *RATES], rows),
+        rates(records),
         table(["switch", "truth", "named first", "in three", "named instead"], _by_switch(records)),
-        table(["case", "truth", "floors", "said", "ranking"], _by_case(records)),
+        by_case(records),
     ])  # fmt: skip
+
+
+def kept(record: Record) -> Record:
+    """What of a record the tables need, for a file of results."""
+    truth = {name: value for name, value in record["truth"].items() if name != "settings"}
+    if "failed" in record:
+        return {"truth": truth, "how": record["how"], "failed": record["failed"], "trace": record["trace"]}
+    report = record["report"]
+    causes = [{n: c.get(n) for n in ("effect", "probability", "closed", "ci")} for c in report["causes"]]
+    gap = {name: report["gap"][name] for name in ("before", "floor")}
+    ranking = [{"effect": r["effect"]} for r in report["ranking"][:3]]
+    own = {"verdict": report["verdict"], "causes": causes, "ranking": ranking, "gap": gap}
+    return {"truth": truth, "how": record["how"], "report": own}
+
+
+def rates(records: Sequence[Record]) -> str:
+    """The rates by size, of all cases."""
+    found = [(name, own) for name, own in groups(records).items() if own]
+    rows = [[name, len(own), *(share(own, hit) for hit in RATES.values())] for name, own in found]
+    return table(["cases", "number", *RATES], rows)
+
+
+def by_case(records: Sequence[Record]) -> str:
+    return table(["case", "truth", "floors", "said", "ranking"], _by_case(records))
 
 
 def _by_switch(records: Sequence[Record]) -> list[list[object]]:

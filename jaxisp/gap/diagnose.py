@@ -23,6 +23,7 @@ from jaxisp.gap.report.pictures import candidate, example
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 from jaxisp.io.datasets import Loaded, open_dataset
+from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
 
 
@@ -98,6 +99,7 @@ def diagnose(
     aligned = aligned_pairs(data)
     criteria = CRITERIA[data.kind] if criteria is None else criteria
     case = _with_base(data.kind, aligned, camera, recipe, others, exclude, criteria, seed, tick)
+    give_back()
     gap = case.gap()
     pictures = example(case, case.point, "before")
     found = searched(case, gap, tick)
@@ -107,6 +109,7 @@ def diagnose(
     if is_gap(case, gap, found):
         most = case.criteria.most_causes
         tick(most - 1, most, "what flexible models reach")
+        give_back()
         refits = [t.after for t in (*found.trials.values(), *found.nearest)]
         lower = reducible(case, gap, found.point, after(gap, found), refits)
     report = report_of(case, gap, found, aligned, lower)

@@ -34,3 +34,22 @@ def keep_freed() -> bool:
     mallopt = ctypes.CDLL(None).mallopt
     settings = ((_MMAP_MAX, 0), (_TRIM_THRESHOLD, _MOST), (_ARENA_MAX, 1))
     return all([mallopt(name, value) == 1 for name, value in settings])
+
+
+def give_back() -> bool:
+    """Give the system what is freed and still held by the C library.
+
+    glibc keeps what was freed between blocks that are in use, in a pool for each thread. Between phases of
+    work that differ in what they need, this can be more than what is used.
+
+    Returns:
+        Whether there was anything: False without glibc, where nothing is done.
+
+    Example:
+        >>> import jaxisp.process.memory
+        >>> jaxisp.process.memory.give_back() in (True, False)
+        True
+    """
+    if platform.libc_ver()[0] != "glibc":
+        return False
+    return ctypes.CDLL(None).malloc_trim(0) == 1

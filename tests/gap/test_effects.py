@@ -11,6 +11,7 @@ from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, Effect, Move, parallel, register_effect
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective import pixels
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import Split
@@ -238,3 +239,44 @@ def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):
         return parallel.parallel_map(one, names)
 
     np.testing.assert_array_equal(found(3), found(1))
+
+
+def test_screening_keeps_the_products_of_all_columns_and_few_of_these(monkeypatch):
+    chain, params = plain_camera("GRBG")
+    gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((2, 3), 1.1, np.float32))}
+    names = ["vignetting", "saturation", "green_imbalance"]
+    effects = [e for e in candidates(RAW_JPEG) if e.name in names]
+    model, light = build(chain, params, gains, plain_freedom(), effects), mosaics()
+    z = np.zeros(len(model.coordinates))
+    z[model.indices(["vignetting"])] = -0.3
+    mask = np.ones(light.shape, bool)
+    objective = PixelObjective.of(Pairs(("a", "b"), light, model.render(z, light), mask), Split((0,), (1,)))
+    monkeypatch.setattr(pixels, "_PART", 1000)
+    _, at = screen(objective, objective.at(model, 0 * z), names)
+    assert sorted(at.columns) == model.base_indices
+    every = objective.compute(at, range(len(z)))
+    left = objective.residual(at)
+    for which, normal in at.normals.items():
+        columns = np.stack([every.columns[i].reshape(2, -1) for i in which], 1).astype(float)
+        gram = np.einsum("nkp,nlp->nkl", columns, columns) / objective.counts[:, None, None]
+        slope = np.einsum("nkp,np->nk", columns, left.reshape(2, -1)) / objective.counts[:, None]
+        np.testing.assert_allclose(normal.gram, gram, rtol=1e-4, atol=1e-4 * gram.max())
+        np.testing.assert_allclose(normal.slope, slope, rtol=1e-4, atol=1e-4 * np.abs(slope).max())
+
+
+def test_a_fit_in_parts_is_that_of_all_pairs_at_once(monkeypatch):
+    chain, params = plain_camera("GRBG")
+    gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((2, 3), 1.1, np.float32))}
+    effects = [e for e in candidates(RAW_JPEG) if e.name == "vignetting"]
+    model, light = build(chain, params, gains, plain_freedom(), effects), mosaics()
+    z = np.zeros(len(model.coordinates))
+    which = model.indices(["vignetting"])
+    z[which] = -0.3
+    pictures = model.render(z, light)
+    objective = PixelObjective.of(Pairs(("a", "b"), light, pictures, np.ones(light.shape, bool)))
+    start = objective.at(model, 0 * z)
+    whole = fit(objective, start, which, steps=1).point.z
+    monkeypatch.setattr(pixels, "_MOST", 1)  # one pair at a time
+    parts = fit(pixels.InParts(objective), start, which, steps=1).point.z
+    np.testing.assert_allclose(parts, whole, rtol=1e-4)
+    assert np.abs(parts[which]).min() > 0.05

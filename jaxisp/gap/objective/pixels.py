@@ -24,8 +24,8 @@ from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io import Jpeg
 
 _TILE = 60  # px a side of what intervals are drawn from, about
-_PART = 3 * 2**15
-"""Numbers of a picture that are multiplied at once."""
+_PART, _ROWS = 2**15, 16
+"""Numbers of a picture that are multiplied at once, and of how many columns a multiple."""
 _MOST = 400_000_000
 """Bytes of columns of `InParts`."""
 
@@ -260,10 +260,14 @@ def tiled(square: np.ndarray, counts: np.ndarray, side: int = _TILE) -> np.ndarr
 
 def _products(rows: Sequence[np.ndarray]) -> np.ndarray:
     """(K, K) of K rows (P,), summed over parts of them: a stack of whole rows would be another copy."""
-    found = np.zeros((len(rows), len(rows)))
+    count, found = len(rows), 0.0
+    part = np.zeros((-(-count // _ROWS) * _ROWS, _PART), np.float32)  # few shapes: each is a program
     for start in range(0, len(rows[0]), _PART):
-        found += np.asarray(_squared(np.stack([row[start : start + _PART] for row in rows])))
-    return found
+        for own, row in zip(part, rows):
+            piece = row[start : start + _PART]
+            own[: len(piece)], own[len(piece) :] = piece, 0
+        found = found + np.asarray(_squared(part), float)
+    return np.asarray(found)[:count, :count]
 
 
 @jax.jit

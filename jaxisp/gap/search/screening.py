@@ -13,6 +13,7 @@ from jaxisp.gap.search.refit import distant, lowest, searched, switched_on
 from jaxisp.gap.search.trial import Trial
 from jaxisp.gap.simulator.effects import EFFECTS
 from jaxisp.gap.simulator.model import Model
+from jaxisp.process.memory import give_back
 
 _ALONG = (1.0, 0.5, 0.25)
 """Shares of a step that are tried."""
@@ -74,6 +75,8 @@ def _with_normals(
             which = _with_base(point, name)
             normals[tuple(which)] = evidence.normal(there, which)
         point = there if evidence.compact else point
+        del there
+        give_back()
     return dataclasses.replace(point, normals=normals)
 
 

@@ -25,6 +25,7 @@ from jaxisp.gap.search.screening import (
     smallest,
 )
 from jaxisp.gap.search.trial import Bars, Cause, Trial, Whole
+from jaxisp.process.memory import give_back
 
 Forms = dict[str, np.ndarray]
 
@@ -192,7 +193,9 @@ def _tried(
         tick(step, terms.most, f"refitting {name}")
         own = max(of_form(name, causes, criteria), terms.bars.get(name, 0.0))
         bars = Bars(max(least, own), max(terms.plainly, own) if step else np.inf, rest)
-        return refit(evidence, point, name, terms.whole, bars, criteria, form=forms.get(name))
+        trial = refit(evidence, point, name, terms.whole, bars, criteria, form=forms.get(name))
+        give_back()
+        return trial
 
     ranked = sorted(left, key=lambda name: -drops[name])
     enough = criteria.predicted * terms.whole.size
