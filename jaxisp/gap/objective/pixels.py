@@ -260,14 +260,15 @@ def tiled(square: np.ndarray, counts: np.ndarray, side: int = _TILE) -> np.ndarr
 
 def _products(rows: Sequence[np.ndarray]) -> np.ndarray:
     """(K, K) of K rows (P,), summed over parts of them: a stack of whole rows would be another copy."""
-    count, found = len(rows), 0.0
+    count = len(rows)
     part = np.zeros((-(-count // _ROWS) * _ROWS, _PART), np.float32)  # few shapes: each is a program
+    found = np.zeros((len(part), len(part)))
     for start in range(0, len(rows[0]), _PART):
         for own, row in zip(part, rows):
             piece = row[start : start + _PART]
             own[: len(piece)], own[len(piece) :] = piece, 0
-        found = found + np.asarray(_squared(part), float)
-    return np.asarray(found)[:count, :count]
+        found += np.asarray(_squared(part))
+    return found[:count, :count]
 
 
 @jax.jit
