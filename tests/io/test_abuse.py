@@ -13,7 +13,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from experiments.abuse.fuzz import SHARES, make_input
+from experiments.abuse.fuzz import make_input
+from experiments.abuse.limits import SHARES, file_name
 from experiments.abuse.seeds import all_seeds
 from experiments.abuse.targets import READERS, outcome
 from jaxisp.errors import InputError
@@ -161,7 +162,7 @@ def test_some_of_the_fuzzers_inputs(kind):
         seeds = all_seeds(Path(folder))
         for index in range(120):
             seed, data = make_input(seeds, kind, index)
-            path = Path(folder) / ("dataset.toml" if kind == "settings" else f"input{seed.suffix}")
+            path = Path(folder) / file_name(kind, seed.suffix)
             path.write_bytes(data)
             assert outcome(kind, path) in ("accepted", "refused"), (kind, index)
     assert set(READERS) == set(SHARES)
@@ -169,7 +170,7 @@ def test_some_of_the_fuzzers_inputs(kind):
 
 def test_the_sound_files_are_accepted(tmp_path):
     for seed in all_seeds(tmp_path):
-        path = tmp_path / ("dataset.toml" if seed.kind == "settings" else f"input{seed.suffix}")
+        path = tmp_path / file_name(seed.kind, seed.suffix)
         path.write_bytes(seed.data)
         assert outcome(seed.kind, path) == "accepted", (seed.kind, seed.suffix)
 
