@@ -5,8 +5,8 @@ from jaxisp.process import signals
 
 def main() -> int:
     """Run the command line as a process of its own."""
-    signals.watch()  # before all that takes time to import
     try:
+        signals.watch()  # before all that takes time to import
         from jaxisp.cli import main as command
 
         status = command()
