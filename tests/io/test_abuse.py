@@ -25,7 +25,6 @@ from jaxisp.serialize import decode_node
 from tests.io.samples import dng
 from tests.io.test_raw import _patched
 
-
 NOT_HELD = ("recipe", "config", "checkpoint", "noise", "sample", "record")
 """Kinds that take long, and (noise, sample, record) that still break: docs/results/abuse.md."""
 
