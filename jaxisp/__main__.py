@@ -1,12 +1,27 @@
 """`python -m jaxisp`, and the command `jaxisp`."""
 
+import os
+import sys
+
 from jaxisp.process import signals
+
+
+def _open_streams() -> None:
+    """Where standard streams were closed, what is opened next has their numbers, and gets what is printed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
 
 
 def main() -> int:
     """Run the command line as a process of its own."""
-    signals.watch()  # before all that takes time to import
     try:
+        _open_streams()
+        signals.watch()  # before all that takes time to import
         from jaxisp.cli import main as command
 
         status = command()

@@ -30,6 +30,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from jaxisp.cli import common
 from jaxisp.gap import parallel
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
@@ -59,6 +60,12 @@ def room():
     if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def no_progress(monkeypatch):
+    """A loaded machine takes longer than a command stays silent: errors are counted in lines."""
+    monkeypatch.setattr(common, "QUIET", 1e6)
 
 
 @pytest.fixture

@@ -291,3 +291,17 @@ def test_a_quick_command_is_silent_and_a_long_phase_is_told(capsys, monkeypatch)
         tick(0, 7, "taking pictures")  # before it, and no tick after it
         time.sleep(0.3)
     assert capsys.readouterr().err == "jaxisp: demo: taking pictures\n"
+
+
+@pytest.mark.parametrize(
+    ("rest", "status", "told"),
+    [
+        ("<&- >&- 2>&-", 0, ""),
+        ("> /dev/full", 2, "standard output: cannot be written: no space left"),
+        ("| true", 0, ""),
+    ],
+)
+def test_standard_streams_that_are_closed_full_or_left(rest, status, told):
+    words = f"{sys.executable} -m jaxisp recipes --json {rest}"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
+    assert done.returncode == status and told in done.stderr and done.stderr.count("\n") == bool(told)

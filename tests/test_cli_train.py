@@ -142,7 +142,8 @@ def test_a_recipe_that_cannot_run_leaves_the_folder_free(capsys, clean, tmp_path
 
 def test_a_full_disk_is_one_line_and_status_2(clean, tmp_path):
     """In a process of its own: threads may print when it ends."""
-    command = [sys.executable, "-m", "jaxisp", "train", "--clean", clean, *AWGN]
+    code = "import jaxisp.cli.common as c; c.QUIET = 1e6; from jaxisp.__main__ import main; exit(main())"
+    command = [sys.executable, "-c", code, "train", "--clean", clean, *AWGN]  # however long it takes
     with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=200k", "tmpfs") as disk:
         arguments = [str(a) for a in (*command, "-o", disk / "run", *SMALL)]
         done = subprocess.run(arguments, capture_output=True, text=True)

@@ -13,6 +13,7 @@ from jaxisp.cli import main
 from jaxisp.io import write_png
 from jaxisp.samples import PHONES, scenes, write_pairs
 from jaxisp.testing import smooth_image
+from tests.calibrate import sensor
 from tests.io.test_files import special_files
 
 TRAIN = (
@@ -43,14 +44,31 @@ COMMANDS = {
     "denoise": ("denoise --run run clean -o out", ("out/p.png",)),
     "evaluate": ("evaluate --run run cn", ()),
     "diagnose": ("diagnose pairs -o out", ("out/report.json", "out/report.html")),
+    "downstream": ("diagnose pairs -o out --downstream", ()),
+    "calibrate": (
+        "calibrate flats darks -o out/noise.toml --report out",
+        ("out/noise.toml", "out/report.html"),
+    ),
 }
 ALWAYS_OURS = {  # what is not named by a call is not to be replaced: refused, or left as it is
     "demo": ("run/notes.txt", "pairs/mine.jpg", "camera.toml", "report.html"),
     "degrade": ("dataset.toml", ".lock"),
     "shards": ("recipe.toml", "manifest.json", ".lock"),
+    "downstream": ("downstream.json",),
     "train": ("recipe.toml", "MODEL_CARD.md", "log.csv", "checkpoints/last/model.ckpt", ".lock"),
 }
-WHOLE = ("develop", "fit", "degrade", "degrade resumed", "shards", "train", "denoise", "evaluate", "diagnose")
+WHOLE = (
+    "develop",
+    "fit",
+    "degrade",
+    "degrade resumed",
+    "shards",
+    "train",
+    "denoise",
+    "evaluate",
+    "diagnose",
+    "calibrate",
+)
 SLOW = ("fit", "diagnose")
 
 
@@ -62,6 +80,9 @@ def inputs(tmp_path_factory):
         (folder / name).mkdir()
     write_png(folder / "clean" / "p.png", smooth_image((24, 30, 3)))
     write_pairs(folder / "pairs", PHONES["a"], list(scenes((96, 128)))[:2])
+    flats, darks = sensor.frames(size=(128, 128))
+    sensor.write(folder, "flats", flats[:10])
+    sensor.write(folder, "darks", darks[:4])
     before = os.getcwd()
     os.chdir(folder)
     try:

@@ -24,13 +24,9 @@ from typing import IO, Any
 
 import numpy as np
 
+from experiments.abuse.limits import MEMORY, SECONDS, SHARES, file_name
 from experiments.abuse.mutate import mutate
 from experiments.abuse.seeds import Seed, all_seeds
-
-SECONDS = 10.0
-"""An input that takes longer hangs."""
-MEMORY = 1 << 30
-"""Bytes that a reader may take beyond what the process had."""
 
 
 def make_input(seeds: list[Seed], kind: str, index: int) -> tuple[Seed, bytes]:
@@ -73,7 +69,7 @@ def _read_for_ever(kind: str, index: int, folder: str, out: IO[str]) -> None:
 
 
 def _write(folder: str, kind: str, seed: Seed, data: bytes) -> Path:
-    path = Path(folder) / ("dataset.toml" if kind == "settings" else f"input{seed.suffix}")
+    path = Path(folder) / file_name(kind, seed.suffix)
     path.write_bytes(data)
     return path
 
@@ -200,18 +196,6 @@ class Worker:
             "next": self.next,
             "findings": dict(sorted(self.findings.items())),
         }
-
-
-SHARES = {
-    "raw": 6,
-    "jpeg": 4,
-    "picture": 4,
-    "recipe": 3,
-    "settings": 1,
-    "config": 1,
-    "mosaic": 1,
-    "opcodes": 1,
-}
 
 
 def main() -> None:

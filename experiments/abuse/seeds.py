@@ -3,6 +3,9 @@
 import dataclasses
 import io
 import struct
+import tarfile
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +13,12 @@ import numpy as np
 import tifffile
 from PIL import Image, ImageCms
 
+from experiments.abuse import kept
+from jaxisp.calibrate.noise import Calibrated, Figure, Noise
 from jaxisp.io import FixVignetteRadial, GainMap, WarpRectilinear, write_dng
 from jaxisp.io.jpeg import encode_jpeg
 from jaxisp.io.opcodes import pack_opcodes
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, mix
 from jaxisp.train import TrainConfig
 
 _MATRIX = np.array([[0.6461, -0.1164, -0.0857], [-0.3825, 1.1597, 0.2534], [-0.0416, 0.154, 0.6039]])
@@ -47,7 +52,8 @@ class Seed:
 
 def all_seeds(folder: Path) -> list[Seed]:
     """The seeds; `folder` is for files that are written on the way."""
-    return [*_raws(folder), *_jpegs(), *_pictures(), *_arrays(), *_tomls()]
+    ours = [Seed(*found) for found in kept.seeds()]
+    return [*_raws(folder), *_jpegs(), *_pictures(), *_arrays(), *_tomls(), *_others(), *ours]
 
 
 def _pixels(height: int = 26, width: int = 38) -> np.ndarray:
@@ -177,3 +183,43 @@ def _tomls() -> list[Seed]:
     recipes = [Seed("recipe", ".toml", make().to_toml().encode()) for make in RECIPES.values()]
     config_text = tomli_w.dumps(config).encode()
     return [*recipes, Seed("settings", ".toml", _DATASET.encode()), Seed("config", ".toml", config_text)]
+
+
+def _others() -> list[Seed]:
+    arrays = io.BytesIO()
+    np.savez(
+        arrays, about=np.asarray('{"model": "fast", "options": {}}'), weights=np.ones((3, 2), np.float32)
+    )
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    lab = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
+    figures = {"shot": Figure(1e-3, 1e-5), "read": Figure(2e-3, 1e-5), "tail": Figure(0.1, 0.01)}
+    noise = [
+        Noise(iso, figures, 64.0, 1023.0, "RGGB", (Figure(1e-3, 1e-5),) * 4, (1e-3, 1e-6), (4, 4))
+        for iso in (100.0, 800.0)
+    ]
+    return [
+        Seed("noise", ".toml", Calibrated("Phone", tuple(noise), ("a note",)).to_toml().encode()),
+        Seed("mixture", ".toml", mix({"phone": 0.5, "awgn": 0.5}).to_toml().encode()),
+        Seed("network", ".npz", arrays.getvalue()),
+        Seed("profile", ".icc", profile),
+        Seed("profile", ".icc", lab),
+        *(Seed("archive", f".{kind}", data) for kind, data in _archives()),
+    ]
+
+
+def _archives() -> Iterator[tuple[str, bytes]]:
+    """What fetch may meet: each compression, folders, a long name, a link, other headers."""
+    for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", method) as file:
+            file.writestr("a/b.txt", b"b" * 60)
+            file.writestr("c.txt", b"c")
+        yield "zip", out.getvalue()
+    for way, form in (("w", tarfile.GNU_FORMAT), ("w:gz", tarfile.PAX_FORMAT), ("w:bz2", 1), ("w:xz", 2)):
+        out = io.BytesIO()
+        with tarfile.open(fileobj=out, mode=way, format=form) as file:
+            for name in ("a/b.txt", "c" * 120, "é.txt"):
+                info = tarfile.TarInfo(name)
+                info.size = 9
+                file.addfile(info, io.BytesIO(b"d" * 9))
+        yield "tar", out.getvalue()

@@ -6,13 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from experiments.abuse import kept
+from jaxisp.calibrate.noise import Calibrated
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, read_jpeg, read_raw
+from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.opcodes import GainMap, parse_opcodes, shading_gain
 from jaxisp.io.raw import RawDescription
 from jaxisp.io.settings import SettingsFile
+from jaxisp.models.files import read_arrays
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import find_degradation
 from jaxisp.train import TrainConfig
 
 
@@ -44,6 +49,17 @@ def _recipe(path: Path) -> None:
     assert Recipe.from_toml(recipe.to_toml()) == recipe, "does not read back equal"
 
 
+def _profile(path: Path) -> None:
+    data = path.read_bytes()
+    if profile_space(data, str(path)) is None:
+        by_tables(np.zeros((2, 2, 3), np.uint8), data, str(path))
+
+
+def _noise(path: Path) -> None:
+    found = Calibrated.load(path)
+    assert Calibrated.from_toml(found.to_toml()) == found, "does not read back equal"
+
+
 def _finite(*values: Any) -> None:
     for value in values:
         assert np.isfinite(value).all(), "holds NaN or infinity"
@@ -58,6 +74,18 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "settings": _settings,
     "recipe": _recipe,
     "config": TrainConfig.load,
+    "mixture": lambda path: find_degradation(str(path)),
+    "noise": _noise,
+    "profile": _profile,
+    "network": read_arrays,
+    "journal": kept.journal,
+    "sample": kept.sample,
+    "manifest": kept.manifest,
+    "note": kept.note,
+    "record": kept.record,
+    "checkpoint": kept.checkpoint,
+    "log": kept.log,
+    "archive": kept.archive,
 }
 
 

@@ -22,7 +22,7 @@ from jaxisp.cli import (
     recipe,
     train,
 )
-from jaxisp.cli.common import Parser, warn
+from jaxisp.cli.common import Parser, flush, warn
 from jaxisp.errors import InputError
 from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
@@ -60,7 +60,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if argv is None:
             keep_compiled()
-        return int(arguments.run(arguments))
+        status = int(arguments.run(arguments))
+        flush()
+        return status
     except InputError as error:
         warn(str(error))
         return 2

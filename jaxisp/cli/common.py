@@ -3,6 +3,7 @@
 import argparse
 import difflib
 import json
+import os
 import re
 import sys
 import threading
@@ -11,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-from jaxisp.errors import printable
+from jaxisp.errors import InputError, printable
 
 
 class Parser(argparse.ArgumentParser):
@@ -65,7 +66,29 @@ def seed(text: str) -> int:
 
 def say(text: Any = "") -> None:
     """A line on standard output; all that is printed for people goes through this, `warn` or a table."""
-    print(printable(str(text)))
+    with _printing():
+        print(printable(str(text)))
+
+
+@contextmanager
+def _printing() -> Iterator[None]:
+    """Told in one line where standard output is on a full disk; who reads it may have gone without a word."""
+    try:
+        yield
+    except OSError as error:
+        from jaxisp.io.files import reason  # loads JAX
+
+        with open(os.devnull, "wb") as nothing:  # what is still buffered would fail again at the end
+            os.dup2(nothing.fileno(), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise InputError(f"standard output: cannot be written: {reason(error)}") from error
+
+
+def flush() -> None:
+    """Print what is still buffered."""
+    with _printing():
+        sys.stdout.flush()
 
 
 def warn(text: str) -> None:
@@ -74,7 +97,8 @@ def warn(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    print(json.dumps(value, allow_nan=False))
+    with _printing():
+        print(json.dumps(value, allow_nan=False))
 
 
 def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
@@ -86,7 +110,8 @@ def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     table = Table(*headers, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*(Text(printable(str(cell))) for cell in row))
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    with _printing():
+        Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
 def report_failures(failed: Iterable[tuple[str, str]]) -> int:

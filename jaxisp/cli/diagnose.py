@@ -60,6 +60,10 @@ def run(arguments: Namespace) -> int:
     with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
         for name in ("report.json", "report.html"):
             output_file(folder / name)
+        if arguments.downstream:
+            from jaxisp.gap.downstream.denoisers import check_kept  # loads flax
+
+            check_kept(folder / "downstream.json")
         found = _diagnosed(arguments, folder)
         _warn(found.report)
         try:

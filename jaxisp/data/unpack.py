@@ -1,5 +1,6 @@
 """Archives of strangers, file by file: nothing but plain files, inside one folder, of a bounded size."""
 
+import contextlib
 import os
 import stat
 import tarfile
@@ -39,22 +40,53 @@ def unpack(path: Path, kind: str, folder: Path) -> None:
             count += 1
             if count > MOST_FILES:
                 raise InputError(f"{path}: holds more than {MOST_FILES} files")
-            target = folder.joinpath(*_parts(name, path))
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with source, open(target, "xb") as file:
+            with source, _made(folder, _parts(name, path)) as file:
                 while chunk := source.read(_CHUNK):
                     left -= len(chunk)
                     if left < 0:
                         raise InputError(f"{path}: unpacks to more than {_RATIO} times its size")
-                    file.write(chunk)
+                    with _writing():
+                        file.write(chunk)
     except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         raise InputError(f"{path}: holds one name twice, or as a file and a folder") from error
     except InputError:
         raise
-    except Exception as error:  # parsers on arbitrary bytes
-        if isinstance(error, OSError) and error.errno:
-            raise
+    except _NotWritten as error:
+        raise error.why from error
+    except Exception as error:  # parsers on arbitrary bytes, which also seek to places that there are not
         raise InputError(f"{path}: is a damaged archive ({one_line(error)})") from error
+
+
+class _NotWritten(Exception):
+    """What the system says of a file that is written, told apart from what it says of the archive."""
+
+    def __init__(self, why: OSError) -> None:
+        super().__init__(str(why))
+        self.why = why
+
+
+@contextlib.contextmanager
+def _writing() -> Iterator[None]:
+    try:
+        yield
+    except (FileExistsError, NotADirectoryError, IsADirectoryError):
+        raise
+    except OSError as error:
+        raise _NotWritten(error) from error
+
+
+@contextlib.contextmanager
+def _made(folder: Path, parts: tuple[str, ...]) -> Iterator[IO[bytes]]:
+    """A new file of a folder, with the folders that its name has."""
+    target = folder.joinpath(*parts)
+    with _writing():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        file = open(target, "xb")  # noqa: SIM115 (closing it may fail too)
+    try:
+        yield file
+    finally:
+        with _writing():
+            file.close()
 
 
 def _parts(name: str, path: Path) -> tuple[str, ...]:

@@ -134,8 +134,9 @@ def read_text(path: PathLike, most: int = MOST_TEXT) -> str:
     """A file of UTF-8 text of at most so many bytes; it may be empty."""
     path = Path(path)
     with open_input(path) as file, _reading(path):
-        data = file.read(most + 1)
-    if len(data) > most:
+        fits = os.fstat(file.fileno()).st_size <= most
+        data = file.read() if fits else b""  # read(most) would ask for all of that memory
+    if not fits:
         raise InputError(f"{path}: is larger than {most >> 20} MiB, which no text of ours is")
     try:
         return data.decode()

@@ -51,10 +51,10 @@ def watch() -> None:
     os.set_blocking(write, False)
     # the system's handler writes the number at once, whatever the main thread does
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _raise)
     _watch.errors = os.dup(2)
     threading.Thread(target=_end, args=(read,), daemon=True, name="jaxisp-signals").start()
+    for number in (signal.SIGINT, signal.SIGTERM):  # the last: one may come at once, and is told
+        signal.signal(number, _raise)
 
 
 def allow(seconds: float = GRACE, status: int | None = None) -> None:

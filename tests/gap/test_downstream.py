@@ -19,6 +19,7 @@ from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.search.states import Shown
 from jaxisp.gap.search.verdict import Found, Refused
+from jaxisp.io.digests import sealed_json
 from tests.gap.scenes import scenes
 
 NOISE = 0.15
@@ -80,7 +81,13 @@ def test_what_is_done_is_not_done_again(found, kept, monkeypatch):
     models = {"without": simulator(0.01), "with": simulator(NOISE)}
     again = measure_downstream(case(), models, Downstream(steps=40, seeds=(0, 1), keep=kept), nothing)
     assert again == found and trained == []
-    kept.write_text(kept.read_text()[:20])  # not whole: as if there were none
+    whole = kept.read_text()
+    for others in (whole[:20], whole.replace(", 0.", ", 1.", 1), '{"mine": [1, 2]}', sealed_json('{"x": 1}')):
+        kept.write_text(others)
+        with pytest.raises(InputError, match="would be replaced"):
+            measure_downstream(case(), models, Downstream(steps=40, seeds=(1,), keep=kept), nothing)
+        assert kept.read_text() == others and trained == []
+    kept.unlink()
     measure_downstream(case(), models, Downstream(steps=40, seeds=(1,), keep=kept), nothing)
     assert trained == [1, 1, 1]
 

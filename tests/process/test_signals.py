@@ -43,6 +43,25 @@ sys.exit(process.main())
     assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
 
 
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_signal_that_comes_while_signals_are_taken(number):
+    program = f"""
+import os, signal
+from jaxisp import __main__ as process
+take = signal.signal
+def at_once(taken, handler):
+    take(taken, handler)
+    if taken == {int(number)}:
+        os.kill(os.getpid(), taken)
+signal.signal = at_once
+raise SystemExit(process.main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, "recipes"], capture_output=True, text=True, timeout=20
+    )
+    assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
+
+
 @pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
 def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
     (tmp_path / "in").mkdir()

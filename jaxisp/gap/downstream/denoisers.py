@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import optax
 from flax import nnx
 
+from jaxisp.errors import InputError
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.downstream.networks import programs
 from jaxisp.gap.downstream.options import Downstream
@@ -25,7 +27,8 @@ from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.crops import TILES
 from jaxisp.gap.pairs.pairs import BORDER
 from jaxisp.gap.pairs.scenes import scene_name
-from jaxisp.io.files import atomic_write
+from jaxisp.io.digests import read_sealed, sealed_json
+from jaxisp.io.files import check_output, parse_json, write_text
 from jaxisp.metrics import match_moments, psnr, ssim
 from jaxisp.models import count_parameters, make_model
 from jaxisp.train.config import TrainConfig
@@ -151,18 +154,35 @@ def _task(case: Case, noisy: np.ndarray) -> _Task:
 
 
 def _kept(path: Path | None) -> dict[str, list[float]]:
-    """The figures of an earlier call; empty if the file is missing or damaged."""
-    try:
-        found = json.loads(path.read_text()) if path else {}
-    except (OSError, ValueError):
+    """The figures of an earlier call, by digest of what they depend on.
+
+    Raises:
+        InputError: another file stands there, or a damaged one.
+    """
+    if path is None or not os.path.lexists(path):
         return {}
-    return found if isinstance(found, dict) else {}
+    try:
+        found = parse_json(read_sealed(path), str(path)).get("figures")
+    except InputError as error:
+        raise InputError(f"{error}; it would be replaced: choose another folder, or remove it") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: stands there already and would be replaced; choose another folder")
+    return {digest: pair for digest, pair in found.items() if _is_pair(pair)}
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(v, float) for v in value)
+
+
+def check_kept(path: Path) -> None:
+    """Raise InputError where figures could not be kept there."""
+    check_output(path)
+    _kept(path)
 
 
 def _keep(path: Path | None, figures: Mapping[str, Any]) -> None:
     if path:
-        with atomic_write(path) as file:
-            file.write(json.dumps(figures).encode())
+        write_text(path, sealed_json(json.dumps({"figures": figures})))
 
 
 def _network(seed: int) -> nnx.Module:
