@@ -1,4 +1,5 @@
-"""Memory that is freed and kept: a large frame does not get it from the system at every call.
+"""Memory that is freed: kept, so that a large frame does not get it from the system at every call; or given back,
+with that of programs that are needed no more.
 
 XLA takes the scratch of a program from the C library at each call. glibc gives blocks above 32 MB, and
 much of what threads free, back to the system; it comes again a page at a time, at 1 to 3 us each. A library
@@ -7,7 +8,9 @@ should not change that by itself: a program that calls something many times on l
 """
 
 import ctypes
+import gc
 import platform
+from collections.abc import Hashable
 
 # glibc's malloc.h
 _TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8
@@ -34,3 +37,39 @@ def keep_freed() -> bool:
     mallopt = ctypes.CDLL(None).mallopt
     settings = ((_MMAP_MAX, 0), (_TRIM_THRESHOLD, _MOST), (_ARENA_MAX, 1))
     return all([mallopt(name, value) == 1 for name, value in settings])
+
+
+MOST_SIZES = 8
+"""Sizes of pictures that a walk over files keeps programs of: those of a recipe take 6 to 42 MB a size."""
+
+
+def forget_compiled() -> None:
+    """Forget all compiled programs and traces of this process, and give their memory back to the system.
+
+    A program belongs to one size of pictures. A loop over files of many sizes calls this now and then; what is
+    needed again is compiled again, or read where programs are kept (`keep_compiled`). Arrays stay.
+    `jax.clear_caches()` alone frees the memory too, but glibc keeps it in pieces, and the next size takes more.
+
+    Example:
+        >>> import jaxisp
+        >>> jaxisp.forget_compiled()
+    """
+    import jax  # here, as `keep_freed` is best called before
+
+    jax.clear_caches()
+    gc.collect()
+    if platform.libc_ver()[0] == "glibc":
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def forget_beyond(sizes: set[Hashable], size: Hashable) -> None:
+    """Note that pictures of this size come next; `forget_compiled` where `MOST_SIZES` others came before.
+
+    Args:
+        sizes: those since programs were last forgotten; changed here.
+        size: of the pictures that come.
+    """
+    if size not in sizes and len(sizes) >= MOST_SIZES:
+        forget_compiled()
+        sizes.clear()
+    sizes.add(size)
