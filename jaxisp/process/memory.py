@@ -1,5 +1,6 @@
-"""Memory that is freed: kept, so that a large frame does not get it from the system at every call; or given back,
-with that of programs that are needed no more.
+"""Memory that is freed: kept, so that a large frame does not get it from the system at every call.
+
+Or given back, with that of programs that are needed no more.
 
 XLA takes the scratch of a program from the C library at each call. glibc gives blocks above 32 MB, and
 much of what threads free, back to the system; it comes again a page at a time, at 1 to 3 us each. A library
@@ -46,9 +47,9 @@ MOST_SIZES = 8
 def forget_compiled() -> None:
     """Forget all compiled programs and traces of this process, and give their memory back to the system.
 
-    A program belongs to one size of pictures. A loop over files of many sizes calls this now and then; what is
-    needed again is compiled again, or read where programs are kept (`keep_compiled`). Arrays stay.
-    `jax.clear_caches()` alone frees the memory too, but glibc keeps it in pieces, and the next size takes more.
+    A program belongs to one size of pictures. A loop over files of many sizes calls this now and then. What
+    is needed again is compiled again, or read where programs are kept (`keep_compiled`). Arrays stay.
+    `jax.clear_caches()` alone frees the memory too, but glibc does not give it back.
 
     Example:
         >>> import jaxisp

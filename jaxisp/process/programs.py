@@ -51,17 +51,17 @@ def compile_times() -> Iterator[list[Program]]:
     steps: dict[tuple[str, str], float] = {}
     over = False
 
-    def heard(event: str, seconds: float, **about: Any) -> None:
+    def heard(event: str, duration_secs: float, **about: Any) -> None:
         if over or not event.startswith("/jax/core/compile/"):
             return
         name = str(about.get("fun_name", "?"))
         # tracing tells of a function, the other steps of its program
         name = name[name.find("(") + 1 : -1] if name.endswith(")") else name
         step = event.rsplit("/", 1)[1]
-        steps[step, name] = seconds
+        steps[step, name] = duration_secs
         if step == "backend_compile_duration":
             trace, lower = (steps.pop((k, name), 0.0) for k in (_TRACE, _LOWER))
-            found.append(Program(name, trace, lower, seconds))
+            found.append(Program(name, trace, lower, duration_secs))
 
     monitoring.register_event_duration_secs_listener(heard)  # jax 0.7 does not take it back
     try:
