@@ -101,6 +101,7 @@ class Work:
     start: int = 0
     paths: list[Path] = dataclasses.field(init=False)
     _digests: dict[Path, str] = dataclasses.field(init=False, repr=False, compare=False, default_factory=dict)
+    _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
         recipes = self.recipe.recipes.values() if isinstance(self.recipe, Mixture) else [self.recipe]
@@ -137,9 +138,8 @@ class Work:
         the programs of all are forgotten, those of others in the process too: see `forget_compiled`.
         """
         key, before = jax.random.key(self.seed), None
-        sizes: set[Hashable] = set()
         for batch in self._batches(which, outcome, done):
-            forget_beyond(sizes, (len(batch), batch[0][1].shape))
+            forget_beyond(self._sizes, (len(batch), batch[0][1].shape))
             indices = np.asarray([sample.index for sample, _ in batch], np.int32)
             noisy, _, params = self.recipe.degrade(key, np.stack([image for _, image in batch]), indices)
             if before is not None:
