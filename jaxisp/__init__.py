@@ -25,6 +25,8 @@ _HOME = {
     "Recipe": "jaxisp.recipe",
     "InputError": "jaxisp.errors",
     "keep_compiled": "jaxisp.process.cache",
+    "compile_times": "jaxisp.process.programs",
+    "forget_compiled": "jaxisp.process.memory",
     "keep_freed": "jaxisp.process.memory",
 }
 _MODULES = {

@@ -6,7 +6,7 @@ import hashlib
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from jaxisp.io.files import (
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Mixture
+from jaxisp.process.memory import forget_beyond
 from jaxisp.recipe import Recipe, check_photographs, check_traces
 
 BATCH_PIXELS = 2_000_000
@@ -100,6 +101,7 @@ class Work:
     start: int = 0
     paths: list[Path] = dataclasses.field(init=False)
     _digests: dict[Path, str] = dataclasses.field(init=False, repr=False, compare=False, default_factory=dict)
+    _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
         recipes = self.recipe.recipes.values() if isinstance(self.recipe, Mixture) else [self.recipe]
@@ -132,10 +134,12 @@ class Work:
     ) -> Iterator[Degraded]:
         """Degrade these samples, those apart that are `done`; out of order where sizes differ.
 
-        The device computes one batch while the one before it is used, and the next one read.
+        The device computes one batch while the one before it is used, and the next one read. After some sizes
+        the programs of all are forgotten, those of others in the process too: see `forget_compiled`.
         """
         key, before = jax.random.key(self.seed), None
         for batch in self._batches(which, outcome, done):
+            forget_beyond(self._sizes, (len(batch), batch[0][1].shape))
             indices = np.asarray([sample.index for sample, _ in batch], np.int32)
             noisy, _, params = self.recipe.degrade(key, np.stack([image for _, image in batch]), indices)
             if before is not None:

@@ -1,4 +1,6 @@
-"""Memory that is freed and kept: a large frame does not get it from the system at every call.
+"""Memory that is freed: kept, so that a large frame does not get it from the system at every call.
+
+Or given back, with that of programs that are needed no more.
 
 XLA takes the scratch of a program from the C library at each call. glibc gives blocks above 32 MB, and
 much of what threads free, back to the system; it comes again a page at a time, at 1 to 3 us each. A library
@@ -7,7 +9,9 @@ should not change that by itself: a program that calls something many times on l
 """
 
 import ctypes
+import gc
 import platform
+from collections.abc import Hashable
 
 # glibc's malloc.h
 _TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8
@@ -53,3 +57,38 @@ def give_back() -> bool:
     if platform.libc_ver()[0] != "glibc":
         return False
     return ctypes.CDLL(None).malloc_trim(0) == 1
+
+
+MOST_SIZES = 8
+"""Sizes of pictures that a walk over files keeps programs of: those of a recipe take 6 to 42 MB a size."""
+
+
+def forget_compiled() -> None:
+    """Forget all compiled programs and traces of this process, and give their memory back to the system.
+
+    A program belongs to one size of pictures. A loop over files of many sizes calls this now and then. What
+    is needed again is compiled again, or read where programs are kept (`keep_compiled`). Arrays stay.
+    `jax.clear_caches()` alone frees the memory too, but glibc does not give it back.
+
+    Example:
+        >>> import jaxisp
+        >>> jaxisp.forget_compiled()
+    """
+    import jax  # here, as `keep_freed` is best called before
+
+    jax.clear_caches()
+    gc.collect()
+    give_back()
+
+
+def forget_beyond(sizes: set[Hashable], size: Hashable) -> None:
+    """Note that pictures of this size come next; `forget_compiled` where `MOST_SIZES` others came before.
+
+    Args:
+        sizes: those since programs were last forgotten; changed here.
+        size: of the pictures that come.
+    """
+    if size not in sizes and len(sizes) >= MOST_SIZES:
+        forget_compiled()
+        sizes.clear()
+    sizes.add(size)

@@ -2,6 +2,7 @@
 
 import fcntl
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from jaxisp.errors import InputError
 from jaxisp.generate import Outcome, Work, degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.pipeline import Chain, stage
+from jaxisp.process import memory
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
@@ -42,6 +44,19 @@ def test_resumed_is_undisturbed(photos, tmp_path):
     assert [p.name for p in out.glob(".*.tmp")] == [".mine.tmp"]
     assert degrade_files([photos], out, recipe, count=2, seed=2, resume=True).kept == 0
     assert contents(out) != contents(whole)
+
+
+def test_programs_that_are_forgotten_between_sizes_change_no_bit(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for i in range(3):
+        write_png(tmp_path / "in" / f"{i}.png", smooth_image((20 + i, 26, 3), i))
+    recipe = Recipe(Chain((stage("gaussian_noise"), stage("rounding")), "grain"), {})
+    whole, few, forgotten = tmp_path / "whole", tmp_path / "few", []
+    degrade_files([tmp_path / "in"], whole, recipe, seed=1)
+    monkeypatch.setattr(memory, "MOST_SIZES", 1)
+    monkeypatch.setattr(memory, "forget_compiled", lambda: forgotten.append(jax.clear_caches()))
+    degrade_files([tmp_path / "in"], few, recipe, seed=1)
+    assert len(forgotten) == 2 and contents(few) == contents(whole)
 
 
 def test_pictures_of_many_sizes_do_not_pile_up(tmp_path, monkeypatch):

@@ -41,3 +41,44 @@ def test_large_blocks_are_not_taken_from_the_system_again():
 def test_without_glibc_nothing_is_changed(monkeypatch):
     monkeypatch.setattr(platform, "libc_ver", lambda: ("", ""))
     assert not memory.keep_freed()
+
+
+MANY_SIZES = """
+import jax, jax.numpy as jnp
+from jaxisp.process.memory import forget_compiled
+@jax.jit
+def program(x):
+    for _ in range(12):
+        x = jnp.sort(x) @ x
+    return x
+def held():
+    return int(open("/proc/self/statm").read().split()[1])
+def compiled(sizes):
+    before = held()
+    for n in sizes:
+        program(jnp.ones((n, n))).block_until_ready()
+    return held() - before
+compiled([2, 3])
+grown = compiled(range(4, 14))
+before = held()
+forget_compiled()
+print((before - held()) / grown)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's")
+def test_what_programs_held_is_given_back():
+    run = subprocess.run([sys.executable, "-c", MANY_SIZES], capture_output=True, text=True, check=True)
+    assert float(run.stdout) > 0.7
+
+
+def test_programs_are_forgotten_after_some_sizes(monkeypatch):
+    forgotten = []
+    monkeypatch.setattr(memory, "forget_compiled", lambda: forgotten.append(1))
+    sizes = set()
+    for _ in range(3):
+        for size in range(memory.MOST_SIZES):  # so many come again and again
+            memory.forget_beyond(sizes, size)
+    assert not forgotten
+    memory.forget_beyond(sizes, "another")
+    assert len(forgotten) == 1 and sizes == {"another"}
