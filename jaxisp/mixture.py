@@ -135,11 +135,35 @@ class Mixture:
         return _degrade(self._branches, ends.astype(np.float32), prior, *given)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
-        """Degrade again with parameters drawn before: the same bits for the same key and start."""
+        """Degrade again with parameters drawn before: the same bits for the same key and start.
+
+        Takes and raises what `degrade` does, and InputError where a parameter of an image's recipe is NaN or
+        out of its bounds (of traced ones nothing is known).
+        """
         if not isinstance(params, dict) or set(params) != {WHICH, *self.recipes}:
             raise InputError(f"a mixture repeats what its degrade drew, got {short(params)}")
         key, images, start = taken("a mixture", key, images, start)
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(params)):
+            for i, (name, chain) in enumerate(self._branches):
+                own = np.asarray(params[WHICH]) == i  # NaN elsewhere
+                chain.check(jax.tree.map(lambda v, own=own: np.asarray(v)[own], params[name]))
         return _repeat(self._branches, key, params, images, start)
+
+
+Degradation = Recipe | Mixture
+"""What degrades pictures."""
+
+
+def parts(degradation: Degradation) -> tuple[Recipe, ...]:
+    """The recipes of a mixture, or the one recipe."""
+    return tuple(degradation.recipes.values()) if isinstance(degradation, Mixture) else (degradation,)
+
+
+def check_runs(degradation: Degradation) -> None:
+    """Raise InputError where a recipe is not for photographs, or cannot run on any."""
+    for recipe in parts(degradation):
+        check_photographs(recipe)
+        check_traces(recipe)
 
 
 @functools.partial(jax.jit, static_argnums=0)
