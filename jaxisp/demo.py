@@ -163,8 +163,9 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
 def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, seed: int) -> dict[str, Any]:
     """A small denoiser, trained for a moment on patches degraded on the fly, and what it does to new ones."""
     config = TrainConfig(
-        clean=(str(out / "clean"),), recipe="phone", steps=steps, batch=16, patch=48, downsample=1,
-        held_out=1, validation=16, lr=2e-3, warmup=10, ema=0.9, checkpoint_every=steps, seed=seed,
+        clean=(str(out / "clean"),), recipe="phone", phases=False, steps=steps, batch=16, patch=48,
+        downsample=1, held_out=1, validation=16, lr=2e-3, warmup=10, ema=0.9, checkpoint_every=steps,
+        seed=seed,
     )  # fmt: skip
     result = train(config, out / "run")
     denoiser, _ = load_denoiser(out / "run", "last")

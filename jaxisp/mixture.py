@@ -26,7 +26,15 @@ from jaxisp.params import strong
 from jaxisp.pipeline import Chain, over_batch, spread
 from jaxisp.priors import draw
 from jaxisp.process.selfcheck import check_backend
-from jaxisp.recipe import LAST_INDEX, Degraded, Recipe, check_photographs, sample_halves, taken
+from jaxisp.recipe import (
+    LAST_INDEX,
+    Degraded,
+    Recipe,
+    check_photographs,
+    check_traces,
+    sample_halves,
+    taken,
+)  # fmt: skip
 
 GROUPS = 8
 """Groups that a batch of one recipe runs in. Fewer run faster each, and pad more."""
@@ -69,6 +77,12 @@ class Mixture:
     def name(self) -> str:
         """What it mixes, as `phone-awgn`."""
         return "-".join(self.recipes)
+
+    @property
+    def description(self) -> str:
+        """What it mixes, with the shares."""
+        shares = (f"{100 * share:.3g} % {name}" for name, share in zip(self.recipes, self.shares))
+        return f"a mixture: {', '.join(shares)}"
 
     def to_toml(self) -> str:
         """The mixture as TOML, with its recipes in it; `from_toml` reads it back equal."""

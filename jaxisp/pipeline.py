@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
+from jax.typing import ArrayLike
 
 from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
@@ -305,7 +306,7 @@ def _require_keeping(node: Node, what: str) -> None:
         )
 
 
-def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = None) -> jax.Array:
+def run(node: Node, params: Params, image: ArrayLike, key: jax.Array | None = None) -> jax.Array:
     """`node(params, image, key=key)`, compiled once per pipeline and shape.
 
     Raises:
@@ -330,7 +331,7 @@ def compiled(node: Node, params: Params, image: jax.Array, key: jax.Array | None
 
 
 def run_in_strips(
-    node: Node, params: Params, image: jax.Array, key: jax.Array | None = None, *, rows: int = ROWS
+    node: Node, params: Params, image: ArrayLike, key: jax.Array | None = None, *, rows: int = ROWS
 ) -> jax.Array:
     """`run(node, params, image, key)` on a large frame, strip of rows by strip: in less memory and time.
 
@@ -390,7 +391,7 @@ def _flat(node: Node) -> Iterator[Node]:
 
 
 def run_batch(
-    node: Node, params: Params, images: jax.Array, key: jax.Array | None = None, start: Any = 0
+    node: Node, params: Params, images: ArrayLike, key: jax.Array | None = None, start: Any = 0
 ) -> jax.Array:
     """Run on a batch: image i has the key `fold_in(key, start + i)`, whatever the batch size.
 
