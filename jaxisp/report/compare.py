@@ -76,7 +76,7 @@ def comparison_page(result: Mapping[str, Any]) -> Page:
         page.heading(group)
         changed = [(row["name"], row["change"]) for row in rows if row["change"] is not None]
         if group in _PLOTTED and len(changed) > 1:
-            page.figures([(f"B less A [{rows[0]['unit']}], {group}", _plot(changed, rows[0]["unit"]))])
+            page.figures([(f"B less A: {group}", _plot(changed, rows[0]["unit"]))])
         page.table(("", "A", "B", "change"), map(cells, rows))
     return page
 
