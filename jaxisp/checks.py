@@ -66,6 +66,15 @@ def check_known(params: dict[str, Any]) -> None:
         _require_within(path, spec, array if half else array.astype(np.float32, copy=False))
 
 
+def check_count(params: dict[str, Any], count: int) -> None:
+    """Raise InputError where a parameter has a value an image, and these are not so many images."""
+    for stage, values in params.items():
+        for field, spec in specs(type(values)).items():
+            shape = np.shape(getattr(values, field))
+            if len(shape) == len(spec.shape) + 1 and shape[0] != count:
+                raise InputError(f"{stage}.{field} has {shape[0]} values, one an image, for {count} images")
+
+
 def _is_known(value: Any) -> bool:
     if isinstance(value, jax.Array):
         return not isinstance(value, jax.core.Tracer) and value.is_fully_addressable

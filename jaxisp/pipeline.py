@@ -22,6 +22,7 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
+from jaxisp.checks import check_count
 from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.node import Around, Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
@@ -414,6 +415,7 @@ def run_batch(
         True
     """
     node.check(params)
+    check_count({name: params[name] for name in node.init()}, np.shape(images)[0])
     return compiled_batch(node, params, images, key, start)
 
 
