@@ -87,7 +87,8 @@ def rsblur() -> Recipe:
 
     Lacks: frames of real motion (a path of three segments draws it), the camera's own matrix (that of
     `unprocessing`) and response (sRGB's), and the rule that keeps noise out of saturated pixels; one CFA
-    phase.
+    phase. An image alone differs from the same one in a batch by rounding: XLA draws a single path in other
+    steps, and about one value in 200,000 then moves by a step of 8 bits.
     """
     sensor = stage("mosaic", cfa="RGGB"), stage("shot_read_noise"), stage("demosaic_malvar", cfa="RGGB")
     nodes = (

@@ -167,7 +167,8 @@ class Recipe:
     def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
         """Degrade a batch on the device, with one draw of the parameters an image.
 
-        Image i depends on the key and on its index, start + i, alone: the same bits at any batch size.
+        Image i depends on the key and on its index, start + i, alone: the same bits at any batch size
+        (but for `rsblur`, see there).
 
         Args:
             key: a JAX key, as `jax.random.key(0)`.

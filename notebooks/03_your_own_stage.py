@@ -68,10 +68,11 @@ def halation(params: Halation, image: LinearRGB, *, radius: int = 12) -> LinearR
 
     Source: none; a tutorial's.
     """
-    luma = jnp.sum(image * jnp.asarray([0.2126, 0.7152, 0.0722], image.dtype), axis=-1)
+    red, green, blue = (image[..., c] for c in range(3))
+    luma = 0.2126 * red + 0.7152 * green + 0.0722 * blue
     bright = jax.nn.relu(luma - params.threshold)
     glow = gaussian_blur(bright[..., None], params.sigma, radius)
-    return image + params.amount * glow * jnp.asarray([1.0, 0.3, 0.05], image.dtype)
+    return image + params.amount * jnp.concatenate([glow, 0.3 * glow, 0.05 * glow], axis=-1)
 
 
 # %%
@@ -111,7 +112,7 @@ with jax.enable_x64(True):
 #
 # Every stage of the library keeps a contract, and `check_stage` puts yours through the same checks. They look
 # for common traps: a NaN at black or at the bounds of a parameter, a gradient that does not arrive, a retrace
-# for each new value, a batch that differs from its images.
+# for each new value, a batch that differs from its images, shapes or dtypes that JAX has to promote.
 
 # %%
 for name in check_stage("halation"):

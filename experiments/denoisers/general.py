@@ -36,9 +36,9 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 """Pictures of 512 px."""
 
 TRAINING: dict[str, Any] = {
-    "recipe": "any-camera", "model": "weighnet", "target": "camera", "patch": 64, "batch": 4,
-    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 200,
-    "pool": 22_528, "steps": 800, "lr": 3e-3, "ema": 0.99, "loss": "l1", "log_every": 50,
+    "recipe": "any-camera", "model": "levelnet", "target": "camera", "patch": 64, "batch": 16,
+    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
+    "pool": 22_528, "steps": 20_000, "lr": 2e-3, "ema": 0.999, "loss": "l1", "log_every": 100,
 }  # fmt: skip
 
 

@@ -41,7 +41,7 @@ def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     assert pair.held_out_psnr > max(31, before + 3)
     assert abs(pair.held_out_psnr - pair.psnr) < 3
     assert np.abs(pair.shift).max() < 0.2
-    assert result.losses[7] < 0.5 * result.losses[0]
+    assert np.all(np.diff(result.losses[:10]) <= 0)
 
 
 def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
