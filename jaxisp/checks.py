@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError as InputError
@@ -42,9 +44,47 @@ def _check_value(path: str, spec: Spec, value: Any, batched: bool) -> np.ndarray
     batch = array.ndim - len(spec.shape)
     if batch not in (0, int(batched)) or not (spec.any_length or array.shape[batch:] == spec.shape):
         raise InputError(f"{path}: shape {array.shape}, expected {spec.shape}")
-    low, high = np.asarray(spec.bounds, np.float32)  # so that a value that stands on a bound passes
+    _require_within(path, spec, array)
+    return array
+
+
+def check_known(params: dict[str, Any]) -> None:
+    """Raise InputError where a value that the host knows is NaN or out of its bounds.
+
+    Nothing is known of traced values, nor of those that other processes hold a part of. Values on a device
+    are fetched, which waits for them.
+    """
+    known = [
+        (f"{stage}.{field}", spec, value)
+        for stage, values in params.items()
+        for field, spec in specs(type(values)).items()
+        if _is_known(value := getattr(values, field))
+    ]
+    for (path, spec, _), value in zip(known, jax.device_get([value for *_, value in known])):
+        array = np.asarray(value)
+        half = array.dtype.itemsize < 4 and jnp.issubdtype(array.dtype, jnp.floating)
+        _require_within(path, spec, array if half else array.astype(np.float32, copy=False))
+
+
+def check_count(params: dict[str, Any], count: int) -> None:
+    """Raise InputError where a parameter has a value an image, and these are not so many images."""
+    for stage, values in params.items():
+        for field, spec in specs(type(values)).items():
+            shape = np.shape(getattr(values, field))
+            if len(shape) == len(spec.shape) + 1 and shape[0] != count:
+                raise InputError(f"{stage}.{field} has {shape[0]} values, one an image, for {count} images")
+
+
+def _is_known(value: Any) -> bool:
+    if isinstance(value, jax.Array):
+        return not isinstance(value, jax.core.Tracer) and value.is_fully_addressable
+    return isinstance(value, bool | int | float | np.ndarray | np.generic)
+
+
+def _require_within(path: str, spec: Spec, array: np.ndarray) -> None:
+    low, high = np.asarray(spec.bounds, array.dtype)  # so that a value that stands on a bound passes
     if not ((array >= low) & (array <= high)).all():
-        shown = np.array2string(array, precision=4, threshold=6)
+        text = np.array2string(array.astype(np.float32, copy=False), precision=4, threshold=6)
+        shown = " ".join(text.split())
         unit = "" if spec.unit == "1" else f" {spec.unit}"
         raise InputError(f"{path} = {shown} is outside [{spec.bounds[0]:g}, {spec.bounds[1]:g}]{unit}")
-    return array

@@ -28,9 +28,9 @@ from jaxisp.io.files import (
 )
 from jaxisp.io.images import read_image, write_png
 from jaxisp.io.locks import locked
-from jaxisp.mixture import Mixture
+from jaxisp.mixture import Degradation, Mixture, check_runs
 from jaxisp.process.memory import forget_beyond
-from jaxisp.recipe import Recipe, check_photographs, check_traces
+from jaxisp.recipe import Recipe
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
@@ -95,7 +95,7 @@ class Work:
     """
 
     inputs: Sequence[str | Path]
-    recipe: Recipe | Mixture
+    recipe: Degradation
     count: int = 1
     seed: int = 0
     start: int = 0
@@ -104,10 +104,7 @@ class Work:
     _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        recipes = self.recipe.recipes.values() if isinstance(self.recipe, Mixture) else [self.recipe]
-        for recipe in recipes:
-            check_photographs(recipe)
-            check_traces(recipe)
+        check_runs(self.recipe)
         object.__setattr__(self, "paths", find_images(self.inputs))
         if not 0 <= self.start <= (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
@@ -239,7 +236,7 @@ def _is_sound(path: Path) -> bool:
 def degrade_files(
     inputs: Sequence[str | Path],
     out: str | Path,
-    recipe: Recipe | Mixture,
+    recipe: Degradation,
     *,
     count: int = 1,
     seed: int = 0,

@@ -26,7 +26,15 @@ from jaxisp.params import strong
 from jaxisp.pipeline import Chain, over_batch, spread
 from jaxisp.priors import draw
 from jaxisp.process.selfcheck import check_backend
-from jaxisp.recipe import LAST_INDEX, Degraded, Recipe, check_photographs, sample_halves, taken
+from jaxisp.recipe import (
+    LAST_INDEX,
+    Degraded,
+    Recipe,
+    check_photographs,
+    check_traces,
+    sample_halves,
+    taken,
+)  # fmt: skip
 
 GROUPS = 8
 """Groups that a batch of one recipe runs in. Fewer run faster each, and pad more."""
@@ -69,6 +77,12 @@ class Mixture:
     def name(self) -> str:
         """What it mixes, as `phone-awgn`."""
         return "-".join(self.recipes)
+
+    @property
+    def description(self) -> str:
+        """What it mixes, with the shares."""
+        shares = (f"{100 * share:.3g} % {name}" for name, share in zip(self.recipes, self.shares))
+        return f"a mixture: {', '.join(shares)}"
 
     def to_toml(self) -> str:
         """The mixture as TOML, with its recipes in it; `from_toml` reads it back equal."""
@@ -135,11 +149,35 @@ class Mixture:
         return _degrade(self._branches, ends.astype(np.float32), prior, *given)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
-        """Degrade again with parameters drawn before: the same bits for the same key and start."""
+        """Degrade again with parameters drawn before: the same bits for the same key and start.
+
+        Takes and raises what `degrade` does, and InputError where a parameter of an image's recipe is NaN or
+        out of its bounds (of traced ones nothing is known).
+        """
         if not isinstance(params, dict) or set(params) != {WHICH, *self.recipes}:
             raise InputError(f"a mixture repeats what its degrade drew, got {short(params)}")
         key, images, start = taken("a mixture", key, images, start)
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(params)):
+            for i, (name, chain) in enumerate(self._branches):
+                own = np.asarray(params[WHICH]) == i  # NaN elsewhere
+                chain.check(jax.tree.map(lambda v, own=own: np.asarray(v)[own], params[name]))
         return _repeat(self._branches, key, params, images, start)
+
+
+Degradation = Recipe | Mixture
+"""What degrades pictures."""
+
+
+def parts(degradation: Degradation) -> tuple[Recipe, ...]:
+    """The recipes of a mixture, or the one recipe."""
+    return tuple(degradation.recipes.values()) if isinstance(degradation, Mixture) else (degradation,)
+
+
+def check_runs(degradation: Degradation) -> None:
+    """Raise InputError where a recipe is not for photographs, or cannot run on any."""
+    for recipe in parts(degradation):
+        check_photographs(recipe)
+        check_traces(recipe)
 
 
 @functools.partial(jax.jit, static_argnums=0)

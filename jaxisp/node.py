@@ -14,6 +14,7 @@ from jax import lax
 from jaxisp import shown
 from jaxisp.arrays.dtypes import given_and_exact, in_dtype
 from jaxisp.arrays.varying import alike
+from jaxisp.checks import check_known
 from jaxisp.domains import Domain
 from jaxisp.options import check_option
 from jaxisp.params import specs
@@ -81,6 +82,11 @@ class Node:
         """Rows after which all blocks that its stages work in begin together."""
         return math.lcm(CELL, *(s.block for s in self.stages()))
 
+    def check(self, params: Params) -> None:
+        """Raise InputError where a parameter of a stage here is NaN or out of its bounds, as far as the host
+        knows; TypeError where it is missing or of another kind."""
+        check_known({name: entry(params, name, type(own)) for name, own in self.init().items()})
+
     def __repr__(self) -> str:
         return shown.node_text(self)
 
@@ -88,9 +94,15 @@ class Node:
         return shown.node_html(self)
 
     def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
-        """Run on one image. `params` may hold entries of stages that are not here."""
+        """Run on one image. `params` may hold entries of stages that are not here.
+
+        Raises:
+            InputError: a parameter is NaN or out of its bounds; of traced ones nothing is known.
+            TypeError: a key is missing, or parameters or image are of another kind.
+        """
         if self.stochastic and key is None:
             raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
+        self.check(params)
         # a stage's branches and loops need them alike
         return self.apply(*alike((params, image, key)))
 

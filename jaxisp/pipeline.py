@@ -15,12 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
+from jax.typing import ArrayLike
 
 from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
+from jaxisp.checks import check_count
 from jaxisp.domains import ANY, Domain, accepts
 from jaxisp.node import Around, Node, Params, Stage, entry, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
@@ -305,9 +307,12 @@ def _require_keeping(node: Node, what: str) -> None:
         )
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = None) -> jax.Array:
+def run(node: Node, params: Params, image: ArrayLike, key: jax.Array | None = None) -> jax.Array:
     """`node(params, image, key=key)`, compiled once per pipeline and shape.
+
+    Raises:
+        InputError: a parameter is NaN or out of its bounds; of traced ones nothing is known.
+        TypeError: a key is missing, or parameters or image are of another kind.
 
     Example:
         >>> import jaxisp, numpy as np
@@ -315,13 +320,19 @@ def run(node: Node, params: Params, image: jax.Array, key: jax.Array | None = No
         >>> jaxisp.run(node, node.init(), np.ones((8, 12, 3), np.float32)).shape
         (8, 12, 3)
     """
+    node.check(params)
+    return compiled(node, params, image, key)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def compiled(node: Node, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    """What `run` compiles."""
     check_backend()  # while this is traced, so once a compile
     return node(params, image, key=key)
 
 
-@functools.partial(jax.jit, static_argnums=0, static_argnames="rows")
 def run_in_strips(
-    node: Node, params: Params, image: jax.Array, key: jax.Array | None = None, *, rows: int = ROWS
+    node: Node, params: Params, image: ArrayLike, key: jax.Array | None = None, *, rows: int = ROWS
 ) -> jax.Array:
     """`run(node, params, image, key)` on a large frame, strip of rows by strip: in less memory and time.
 
@@ -338,6 +349,9 @@ def run_in_strips(
     Returns:
         What `run` returns, to rounding.
 
+    Raises:
+        What `run` raises.
+
     Example:
         >>> import jaxisp, numpy as np
         >>> node, frame = jaxisp.stage("optical_blur"), np.ones((600, 16, 3), np.float32)
@@ -345,6 +359,15 @@ def run_in_strips(
         >>> bool(np.allclose(strips, jaxisp.run(node, node.init(), frame), atol=1e-6))
         True
     """
+    node.check(params)
+    return compiled_in_strips(node, params, image, key, rows)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 4))
+def compiled_in_strips(
+    node: Node, params: Params, image: jax.Array, key: jax.Array | None, rows: int
+) -> jax.Array:
+    """What `run_in_strips` compiles."""
     if node.stochastic and key is None:
         raise TypeError(f"{node.name} draws noise: pass key=jax.random.key(seed)")
     for local, group in itertools.groupby(_flat(node), lambda n: n.reach is not None):
@@ -368,9 +391,8 @@ def _flat(node: Node) -> Iterator[Node]:
         yield from _flat(inner)
 
 
-@functools.partial(jax.jit, static_argnums=0)
 def run_batch(
-    node: Node, params: Params, images: jax.Array, key: jax.Array | None = None, start: Any = 0
+    node: Node, params: Params, images: ArrayLike, key: jax.Array | None = None, start: Any = 0
 ) -> jax.Array:
     """Run on a batch: image i has the key `fold_in(key, start + i)`, whatever the batch size.
 
@@ -381,6 +403,9 @@ def run_batch(
         key: a root key, where anything draws noise.
         start: the global index of the first image.
 
+    Raises:
+        What `run` raises.
+
     Example:
         >>> import jax, jaxisp, numpy as np
         >>> node, images = jaxisp.stage("gaussian_noise"), np.full((4, 8, 8, 3), 0.5, np.float32)
@@ -389,6 +414,16 @@ def run_batch(
         >>> bool((noisy[3] == last[0]).all())
         True
     """
+    node.check(params)
+    check_count({name: params[name] for name in node.init()}, np.shape(images)[0])
+    return compiled_batch(node, params, images, key, start)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def compiled_batch(
+    node: Node, params: Params, images: jax.Array, key: jax.Array | None, start: Any
+) -> jax.Array:
+    """What `run_batch` compiles."""
     check_backend()
     params = {name: entry(params, name, type(own)) for name, own in node.init().items()}
     keys = None if key is None else sample_keys(key, start + jnp.arange(len(images)))

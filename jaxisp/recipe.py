@@ -192,9 +192,11 @@ class Recipe:
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
 
-        Takes and raises what `degrade` does.
+        Takes and raises what `degrade` does, and InputError where a parameter is NaN or out of its bounds (of
+        traced ones nothing is known).
         """
         key, images, start = taken(f"recipe {self.name!r}", key, images, start, self.chain.domain_in)
+        self.chain.check(params)
         return _repeat(self.chain, key, params, images, start)
 
     def to_toml(self) -> str:

@@ -9,12 +9,13 @@ Work is done in linear light, as there; what goes in and comes out is encoded sR
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from jaxisp.domains import MOSAIC
 from jaxisp.errors import InputError
 from jaxisp.io.files import parse_toml, read_text, short
-from jaxisp.mixture import Mixture
+from jaxisp.mixture import Degradation, Mixture
 from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
@@ -42,6 +43,8 @@ from jaxisp.stages.tone import SCurve
 CFA = "GRBG"
 PHASES = "-phases"
 """How the name of a recipe ends whose mosaic begins at any photosite of its cell."""
+CLEAN = "clean"
+"""The name of pictures as they are, in a mixture."""
 PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))
 # Sensors' noise is shot noise but for the darkest tones: phones' calibrated read noise is 0.0001 to 0.007 and
@@ -207,16 +210,22 @@ def any_phase(recipe: Recipe) -> Recipe:
     Raises:
         InputError: the recipe has no mosaic, or does not demosaick it.
     """
-    nodes = recipe.chain.nodes
-    first = [i for i, n in enumerate(nodes) if n.domain_in.channels == 3 and n.domain_out == MOSAIC]
-    last = [i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out.channels == 3]
-    if len(first) != 1 or len(last) != 1:
+    nodes, own = recipe.chain.nodes, _sensor(recipe)
+    if own is None:
         raise InputError(f"recipe {recipe.name!r} has no mosaic that it demosaicks, so that it has no phase")
-    inner = AnyPhase(Chain(nodes[first[0] : last[0] + 1], "sensor"))
-    chain = Chain((*nodes[: first[0]], inner, *nodes[last[0] + 1 :]), f"{recipe.name}{PHASES}")
+    inner = AnyPhase(Chain(nodes[own], "sensor"))
+    chain = Chain((*nodes[: own.start], inner, *nodes[own.stop :]), f"{recipe.name}{PHASES}")
     prior = recipe.prior | {inner.name: CfaPhase(row=Bernoulli(0.5), column=Bernoulli(0.5))}
     text = f"{recipe.description}; the mosaic begins at any photosite of its cell"
     return dataclasses.replace(recipe, chain=chain, prior=prior, description=text)
+
+
+def _sensor(recipe: Recipe) -> slice | None:
+    """The nodes from a recipe's mosaic to its demosaicking; None where it has not one of each."""
+    nodes = recipe.chain.nodes
+    first = [i for i, n in enumerate(nodes) if n.domain_in.channels == 3 and n.domain_out == MOSAIC]
+    last = [i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out.channels == 3]
+    return slice(first[0], last[0] + 1) if len(first) == len(last) == 1 else None
 
 
 RECIPES: dict[str, Callable[[], Recipe]] = {
@@ -240,17 +249,19 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
 """The built-in recipes by the name that the command line takes."""
 
 
-def find_recipe(name: str) -> Recipe:
+def find_recipe(name: str, *, phases: bool = False) -> Recipe:
     """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none.
 
     The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
+    With `phases` all built-in recipes with a mosaic are so.
 
     Example:
         >>> find_recipe("phone").name
         'phone'
     """
     if name in RECIPES:
-        return RECIPES[name]()
+        recipe = RECIPES[name]()
+        return any_phase(recipe) if phases and _sensor(recipe) else recipe
     if name.removesuffix(PHASES) in RECIPES:
         return any_phase(RECIPES[name.removesuffix(PHASES)]())
     if not name.endswith(".toml") and not os.path.lexists(name):
@@ -258,7 +269,7 @@ def find_recipe(name: str) -> Recipe:
     return Recipe.load(name)
 
 
-def find_degradation(name: str) -> Recipe | Mixture:
+def find_degradation(name: str, *, phases: bool = False) -> Degradation:
     """What `find_recipe` finds, or a mixture: `phone=0.6,awgn=0.2,clean=0.2`, or a TOML file of one.
 
     Raises:
@@ -269,15 +280,22 @@ def find_degradation(name: str) -> Recipe | Mixture:
         for part in name.split(","):
             own, _, share = part.strip().rpartition("=")
             try:
-                shares[own] = float(share)
+                recipe = find_recipe(own, phases=True) if phases and own != CLEAN else own
+                shares[recipe] = float(share)
             except ValueError:
                 raise InputError(f"{part.strip()!r} is no share of a mixture, as phone=0.6") from None
         return mix(shares)
-    if name.endswith(".toml") or os.path.lexists(name):
-        text = read_text(name)
-        if "mixture" in parse_toml(text, name):
-            return Mixture.from_toml(text, name)
-    return find_recipe(name)
+    if name not in RECIPES and (name.endswith(".toml") or os.path.lexists(name)):
+        return load_degradation(name)
+    return find_recipe(name, phases=phases)
+
+
+def load_degradation(path: str | Path) -> Degradation:
+    """The recipe or the mixture in a TOML file. Raises InputError where there is none."""
+    text = read_text(path)
+    if "mixture" in parse_toml(text, str(path)):
+        return Mixture.from_toml(text, str(path))
+    return Recipe.load(path)
 
 
 def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
@@ -306,7 +324,7 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
     for given in shares:
         if not isinstance(given, str | Recipe):
             raise InputError(f"mix takes recipes or their names, got {short(given)}")
-        recipe = given if isinstance(given, Recipe) else _clean() if given == "clean" else find_recipe(given)
+        recipe = given if isinstance(given, Recipe) else _clean() if given == CLEAN else find_recipe(given)
         if recipe.name in recipes:
             raise InputError(
                 f"two recipes of a mixture are named {recipe.name!r}: name one's chain otherwise"
@@ -316,7 +334,7 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
 
 
 def _clean() -> Recipe:
-    return Recipe(Chain((), "clean"), {}, "pictures as they are")
+    return Recipe(Chain((), CLEAN), {}, "pictures as they are")
 
 
 def _recipe(name: str, description: str, middle: tuple[Any, ...], prior: dict[str, Any]) -> Recipe:

@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import jax
 
 from jaxisp.domains import Domain
+from jaxisp.errors import meant
 
 StageFunction = Callable[..., jax.Array]
 Reach = int | None | Callable[[Mapping[str, Any]], int | None]
@@ -104,7 +105,8 @@ def find_stage(name: str) -> StageFunction:
     if name not in REGISTRY:
         _load_stages()
     if name not in REGISTRY:
-        raise KeyError(f"no stage named {name!r}; there are {', '.join(sorted(REGISTRY))}")
+        hint = meant(name, REGISTRY) or f"; there are {', '.join(sorted(REGISTRY))}"
+        raise KeyError(f"no stage named {name!r}{hint}")
     return REGISTRY[name]
 
 

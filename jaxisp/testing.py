@@ -20,7 +20,7 @@ from jax import lax
 
 from jaxisp.node import Stage, stage
 from jaxisp.params import map_specs, specs
-from jaxisp.pipeline import run, run_batch, sections, signature
+from jaxisp.pipeline import compiled, run, run_batch, sections, signature
 
 __all__ = ["CHECKS", "Subject", "check_stage", "imprecise_products", "smooth_image"]
 
@@ -86,7 +86,7 @@ class Subject:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """Weights of the output's values, whose weighted sum is differentiated."""
-        out = run.eval_shape(self.node, self.params(), self.image(), jax.random.key(0))
+        out = compiled.eval_shape(self.node, self.params(), self.image(), jax.random.key(0))
         return np.random.default_rng(1).standard_normal(out.shape).astype(np.float32)
 
     @functools.cached_property
@@ -172,7 +172,7 @@ def _gradient_is_finite(subject: Subject) -> None:
 def _products_are_precise(subject: Subject) -> None:
     """Every matrix product and convolution asks for full precision: a GPU's default has 10 bits."""
     node, params, image, key = subject.node, subject.params(), subject.image(), jax.random.key(0)
-    forward = run.trace(node, params, image, key).jaxpr  # a custom rule has its own
+    forward = compiled.trace(node, params, image, key).jaxpr  # a custom rule has its own
     backward = subject.gradient.trace(params, image, subject.weights, key).jaxpr
     found = imprecise_products(forward) + imprecise_products(backward)
     _require(not found, f"{node.name}: give precision=HIGHEST to {found[:1]}")

@@ -27,6 +27,7 @@ from jaxisp import register, stage
 from jaxisp.domains import EncodedRGB
 from jaxisp.explore import Pictures, picture_after
 from jaxisp.gap import EFFECTS, Effect, Move, diagnose, register_effect
+from jaxisp.gap.report.axes import ACROSS
 from jaxisp.io import read_image, write_png
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.samples import PHONES, scene, scene_names, write_pairs
@@ -111,14 +112,21 @@ for cause in found.report["causes"]:
 # ## Where it shows
 #
 # The residual before any effect is added, along the axes that explain most of it. A toning that turns its
-# sign in the middle of the scale is easily read off the intensity.
+# sign in the middle of the scale is easily read off the intensity. The page that `found.save` writes begins
+# with a map of the differences in a held-out picture.
 
 # %%
 shown = [w for w in found.report["where"] if len(w["bins"]) > 3][:3]
-figure, axes = plt.subplots(1, 3, figsize=(8, 2))
-for w, axis in zip(shown, axes):
-    axis.plot(np.arange(len(w["bins"])), w["profile"])
-    axis.set_title(f"{w['axis']}: {100 * w['share']:.0f} %", fontsize=9)
+figure, axes = plt.subplots(1, len(shown), figsize=(9, 2.6), squeeze=False)
+for w, axis in zip(shown, axes[0]):
+    numbers = not isinstance(w["bins"][0], str)
+    axis.plot(w["bins"] if numbers else range(len(w["bins"])), w["profile"])
+    if not numbers:
+        axis.set_xticks(range(len(w["bins"])), w["bins"], fontsize=7)
+    axis.axhline(0, color="gray", linewidth=0.7)
+    axis.set_title(f"{100 * w['share']:.0f} % of the gap", fontsize=9)
+    axis.set_xlabel(ACROSS.get(w["axis"], w["axis"]), fontsize=8)
+    axis.set_ylabel(f"{w['channel']}, {w['unit'].split(',')[0]} [8-bit steps]", fontsize=8)
 figure.tight_layout()
 
 # %% [markdown]

@@ -13,11 +13,27 @@ from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
+from jaxisp.samples import PHONES
 from jaxisp.train import TrainConfig
 
-pytestmark = [pytest.mark.optimised, pytest.mark.slow]
+
+@pytest.mark.parametrize(
+    ("named", "right", "words"),
+    [
+        ([{"sharpening"}], True, "It also has luma denoising"),
+        ([{"sharpening"}, {"luma_denoising", "film_grain"}], True, "all that is named."),
+        ([{"sharpening"}, {"film_grain"}], False, "no film grain"),
+        ([], False, "names none"),
+    ],
+)
+def test_a_verdict_is_held_to_how_the_phone_was_made(named, right, words):
+    found, text = jaxisp.demo.judged(named, {"sharpening", "luma_denoising"})
+    assert found == right and words in text
+    assert jaxisp.demo.lacking(PHONES["c"]) - jaxisp.demo.lacking(PHONES["a"]) == {"vignetting"}
 
 
+@pytest.mark.optimised
+@pytest.mark.slow
 def test_demo(tmp_path, capsys, monkeypatch):
     whole = jaxisp.demo.run_demo
     monkeypatch.setattr(jaxisp.demo, "run_demo", lambda *a, **k: whole(*a, **k, steps=3, training=2))
@@ -41,6 +57,7 @@ def test_demo(tmp_path, capsys, monkeypatch):
         "What a plain camera lacks",
     ):
         assert heading in text
+    assert 'href="diagnosis/report.html"' in text and ("Right: " in text or "Wrong: " in text)
     assert len(result["fit"]["pairs"]) == 2 and result["degrade"]["images"] == 8
     assert result["train"]["step"] == 2 and result["diagnose"]["verdict"] in ("effect", "none", "unknown")
     assert (tmp_path / "d" / "diagnosis" / "report.html").stat().st_size > 1000

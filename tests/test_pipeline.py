@@ -18,6 +18,7 @@ from jaxisp.pipeline import (
     Gate,
     Shuffle,
     Stage,
+    compiled,
     register,
     run,
     run_batch,
@@ -103,10 +104,10 @@ def test_equal_pipelines_are_equal_and_share_one_compile():
 
     assert build() == build() and hash(build()) == hash(build())
     assert stage(square, power=2) == stage(square) != stage(square, power=3)
-    run._clear_cache()
+    compiled._clear_cache()
     for _ in range(2):
         run(build(), build().init(), IMAGES[0])
-    assert run._cache_size() == 1
+    assert compiled._cache_size() == 1
 
 
 def test_new_values_switches_and_orders_do_not_retrace():

@@ -11,7 +11,17 @@ import pytest
 from jaxisp.cfa import XTRANS
 from jaxisp.domains import RGB
 from jaxisp.params import map_specs
-from jaxisp.pipeline import REGISTRY, Chain, Gate, Shuffle, register, run, run_in_strips, stage
+from jaxisp.pipeline import (
+    REGISTRY,
+    Chain,
+    Gate,
+    Shuffle,
+    compiled_in_strips,
+    register,
+    run,
+    run_in_strips,
+    stage,
+)
 from jaxisp.stages import STAGES
 from jaxisp.testing import smooth_image
 
@@ -215,7 +225,7 @@ def test_noise_needs_a_key_and_one_program_serves_all_values():
     image = image_for(node, 40)
     with pytest.raises(TypeError, match="pass key"):
         run_in_strips(node, node.init(), image)
-    run_in_strips._clear_cache()
+    compiled_in_strips._clear_cache()
     for seed in range(2):
         run_in_strips(node, middle(node), image, jax.random.key(seed), rows=16)
-    assert run_in_strips._cache_size() == 1
+    assert compiled_in_strips._cache_size() == 1

@@ -192,3 +192,17 @@ def test_a_stage_of_ones_own_has_limits_too():
 
     with pytest.raises(InputError, match="washed: option share must be from 0 to 1, got 2"):
         stage(washed, share=2)
+
+
+def test_a_misspelt_stage_names_the_one_that_is_meant():
+    with pytest.raises(KeyError, match="'gausian_noise'; is it gaussian_noise"):
+        stage("gausian_noise")
+    with pytest.raises(KeyError, match="there are adc_quantization, "):
+        stage("xyzzy")
+
+
+def test_parameters_of_another_number_of_images_are_told():
+    node = stage("unsharp_mask")
+    params = {"unsharp_mask": type(node.init()["unsharp_mask"])(amount=np.float32([0.1, 0.2]))}
+    with pytest.raises(InputError, match=r"unsharp_mask\.amount has 2 values, one an image, for 3 images"):
+        run_batch(node, params, np.full((3, 8, 8, 3), 0.5, np.float32))

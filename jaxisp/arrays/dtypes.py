@@ -15,9 +15,11 @@ def given_and_exact(image: Any) -> tuple[Any, Any]:
 
 
 def in_dtype(tree: Any, dtype: Any) -> Any:
-    """`tree` with its arrays in a dtype. Python numbers stay as they are: they follow what they meet."""
+    """`tree` with its arrays and Python numbers in a dtype."""
 
     def cast(leaf: Any) -> Any:
+        if isinstance(leaf, int | float):
+            return jnp.asarray(leaf, dtype)  # stages use methods of arrays
         fits = not hasattr(leaf, "dtype") or jnp.result_type(leaf) == dtype
         return leaf if fits else lax.convert_element_type(leaf, dtype)
 

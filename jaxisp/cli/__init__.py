@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from jaxisp import __version__
 from jaxisp.cli import (
     calibrate,
+    compare,
     data,
     degrade,
     demo,
@@ -28,7 +29,8 @@ from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
 
 _MODULES = (
-    demo, develop, fit, calibrate, recipe, degrade, train, denoise, evaluate, diagnose, data, listings,
+    demo, develop, fit, calibrate, recipe, degrade, train, denoise, evaluate, diagnose, compare, data,
+    listings,
 )  # fmt: skip
 
 

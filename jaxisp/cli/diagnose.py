@@ -81,12 +81,13 @@ def run(arguments: Namespace) -> int:
 def _diagnosed(arguments: Namespace, folder: Path) -> Any:
     from jaxisp.gap import Downstream, diagnose
     from jaxisp.recipe import Recipe, check_traces
-    from jaxisp.recipes import find_recipe
+    from jaxisp.recipes import find_degradation
 
     camera = Recipe.load(arguments.camera) if arguments.camera else None
-    recipe = find_recipe(arguments.recipe) if arguments.recipe else None
-    for simulator in filter(None, (camera, recipe)):
-        check_traces(simulator)
+    recipe = find_degradation(arguments.recipe) if arguments.recipe else None
+    for simulator in (camera, recipe):
+        if isinstance(simulator, Recipe):  # a mixture is refused below
+            check_traces(simulator)
     how = Downstream(arguments.downstream_steps, keep=folder / "downstream.json")
     with progress("diagnosing") as tick:
         return diagnose(

@@ -30,7 +30,9 @@ def add_commands(commands: Any) -> None:
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG pairs")
     command.add_argument("-o", "--out", required=True, metavar="CAMERA.toml")
     command.add_argument(
-        "--report", metavar="DIR", help="write DIR/report.html, with pictures before and after"
+        "--report",
+        metavar="DIR",
+        help="write DIR/report.html, with pictures before and after, and DIR/report.json",
     )
     command.add_argument(
         "--steps", type=positive, default=30, help="most Gauss-Newton steps in each phase (default 30)"

@@ -35,7 +35,7 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--keep", positive, "checkpoints kept besides the best (default 2)"),
 )
 _SETTINGS = (
-    "model", "seed", "fresh_crops", "bf16", *(flag[2:].replace("-", "_") for flag, _, _ in _OPTIONS)
+    "model", "seed", "fresh_crops", "bf16", "phases", *(flag[2:].replace("-", "_") for flag, _, _ in _OPTIONS)
 )  # fmt: skip
 
 
@@ -45,7 +45,15 @@ def add_commands(commands: Any) -> None:
     command.add_argument(
         "--clean", nargs="+", metavar="DIR", help="folders of clean photographs, searched recursively"
     )
-    command.add_argument("--recipe", metavar="RECIPE", help="a name (jaxisp recipes) or a TOML file")
+    command.add_argument(
+        "--recipe",
+        metavar="RECIPE",
+        help="a name (jaxisp recipes), a TOML file, or shares, as phone=0.8,clean=0.2",
+    )
+    command.add_argument(
+        "--one-phase", dest="phases", action="store_false", default=None,
+        help="a named recipe's mosaic begins at one photosite (default: at any, drawn for each patch)",
+    )  # fmt: skip
     command.add_argument(
         "--model", metavar="NAME",
         help="unet (default), levelnet, weighnet, fast, dncnn6, dncnn17, ffdnet, nafnet, n3net[-stripped]",
@@ -83,7 +91,7 @@ def run(arguments: Namespace) -> int:
     use_cores(arguments.cpu_devices)
     import dataclasses
 
-    from jaxisp.recipes import find_recipe
+    from jaxisp.recipes import find_degradation
     from jaxisp.train import TrainConfig, train
     from jaxisp.train.folder import CONFIG, load_settings
 
@@ -96,12 +104,14 @@ def run(arguments: Namespace) -> int:
     if arguments.resume and os.path.exists(os.path.join(arguments.out, CONFIG)):
         before, recipe = load_settings(arguments.out)
         config = dataclasses.replace(before, **given)
-        recipe = find_recipe(arguments.recipe) if arguments.recipe else recipe
+        if arguments.recipe:
+            recipe = find_degradation(arguments.recipe, phases=config.phases)
     else:
         for name in ("clean", "recipe"):
             if name not in given:
                 raise InputError(f"train needs --{name}, or --resume with a run in {arguments.out}")
-        config, recipe = TrainConfig(**given), find_recipe(arguments.recipe)
+        config = TrainConfig(**given)
+        recipe = find_degradation(config.recipe, phases=config.phases)
     with progress("training") as tick:
         result = train(config, arguments.out, recipe=recipe, resume=arguments.resume, tick=tick)
     if arguments.json:

@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.clean import load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
-from jaxisp.recipe import Recipe, check_levels
+from jaxisp.mixture import Degradation
+from jaxisp.recipe import check_levels
 
 Pair = tuple[jax.Array, jax.Array]
 
@@ -46,7 +47,7 @@ class Batches:
     def __init__(
         self,
         source: Source,
-        recipe: Recipe,
+        recipe: Degradation,
         *,
         batch: int = 32,
         seed: int = 0,
@@ -116,7 +117,7 @@ class Batches:
 
 
 def degrader(
-    recipe: Recipe, key: jax.Array, mesh: Mesh | None = None
+    recipe: Degradation, key: jax.Array, mesh: Mesh | None = None
 ) -> Callable[[jax.Array, jax.Array], jax.Array]:
     """`(clean, indices) -> noisy`; over a mesh each device degrades its own rows of the batch.
 
@@ -134,7 +135,7 @@ def degrader(
 
 def batches(
     folder: str | Path | Sequence[str | Path],
-    recipe: Recipe,
+    recipe: Degradation,
     size: int = 80,
     *,
     batch: int = 32,

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxisp.data.clean import CleanImages, load_clean
-from jaxisp.recipe import Recipe
+from jaxisp.mixture import Degradation
 
 
 class CleanPatches:
@@ -95,7 +95,7 @@ class DegradedBatches:
     """
 
     def __init__(
-        self, patches: CleanPatches, recipe: Recipe, *, batch: int = 32, seed: int = 0, epochs: int = 1
+        self, patches: CleanPatches, recipe: Degradation, *, batch: int = 32, seed: int = 0, epochs: int = 1
     ) -> None:
         self.patches, self.recipe, self.batch, self.seed, self.epochs = patches, recipe, batch, seed, epochs
 

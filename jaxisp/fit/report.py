@@ -1,5 +1,6 @@
 """Show a fit: figures, pictures before and after, and what is left."""
 
+import json
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -19,7 +20,7 @@ from jaxisp.fit.model import SET_FROM_FILE, tone
 from jaxisp.fit.noise import KINDS
 from jaxisp.fit.result import FitResult
 from jaxisp.fit.search import GAIN
-from jaxisp.io.files import output_folder
+from jaxisp.io.files import output_folder, write_text
 from jaxisp.params import Spec, specs
 from jaxisp.pipeline import run
 from jaxisp.report import Page
@@ -28,10 +29,11 @@ _UNKNOWN, _BOUND = " (not identified)", " (at a bound)"
 
 
 def write_report(result: FitResult, folder: str | Path) -> Path:
-    """Write `report.html` into the folder; return its path."""
+    """Write `report.html` and its figures, `report.json`, into the folder; return the page's path."""
     page = Page("A camera fitted to its own pictures", summary(result))
     add_fit(page, result)
     path = output_folder(folder) / "report.html"
+    write_text(path.with_suffix(".json"), json.dumps(result.as_dict(), indent=1) + "\n")
     page.write(path)
     return path
 

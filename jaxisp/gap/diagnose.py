@@ -23,6 +23,7 @@ from jaxisp.gap.report.pictures import candidate, example
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 from jaxisp.io.datasets import Loaded, open_dataset
+from jaxisp.mixture import Degradation, Mixture
 from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
 
@@ -54,7 +55,7 @@ def diagnose(
     dataset: str | Path,
     camera: Recipe | None = None,
     *,
-    recipe: Recipe | None = None,
+    recipe: Degradation | None = None,
     reference: str | Path | None = None,
     exclude: Sequence[str] = (),
     downstream: Downstream | None = None,
@@ -88,11 +89,15 @@ def diagnose(
     Raises:
         InputError: no such folder, no usable pair, an unknown effect, a simulator that cannot be a base
             (no mosaic or demosaicking, stages drawn at random, another domain), a camera and a recipe at
-            once, a recipe for RAW+JPEG pairs, or `downstream`.
+            once, a mixture, a recipe for RAW+JPEG pairs, or `downstream`.
     """
     clock = time.perf_counter()
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
+    if isinstance(recipe, Mixture):
+        raise InputError(
+            f"a mixture ({recipe.name}) is several cameras, a diagnosis is of one: give one of its recipes"
+        )
     data = open_dataset(dataset)
     _check_kind(dataset, data.kind, camera, recipe, downstream)
     others = None if reference is None else _opened_reference(reference, data.kind, camera, recipe)

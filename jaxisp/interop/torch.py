@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset, get_worker_in
 from jaxisp.data import Batches, CleanPatches
 from jaxisp.data.sources import degrade_key
 from jaxisp.errors import InputError
-from jaxisp.recipe import Recipe
+from jaxisp.mixture import Degradation
 
 Pair = tuple[torch.Tensor, torch.Tensor]
 
@@ -54,7 +54,7 @@ class DegradedBatches(IterableDataset):  # type: ignore[misc, type-arg, unused-i
         **options: those of `jaxisp.data.Batches`: batch, seed, start, ahead, mesh.
     """
 
-    def __init__(self, source: CleanPatches, recipe: Recipe, **options: Any) -> None:
+    def __init__(self, source: CleanPatches, recipe: Degradation, **options: Any) -> None:
         self.source, self.recipe, self.options = source, recipe, options
 
     def __iter__(self) -> Iterator[Pair]:
@@ -97,7 +97,9 @@ def loader(dataset: CleanDataset, **options: Any) -> Any:
     return DataLoader(dataset, **options)
 
 
-def degraded(batches: Iterable[dict[str, torch.Tensor]], recipe: Recipe, seed: int = 0) -> Iterator[Pair]:
+def degraded(
+    batches: Iterable[dict[str, torch.Tensor]], recipe: Degradation, seed: int = 0
+) -> Iterator[Pair]:
     """(noisy, clean) of each batch of a loader of `CleanDataset`, degraded in this process.
 
     Sample i has the bits that `jaxisp.data.Batches` gives for that index, in whatever order they come.

@@ -38,6 +38,10 @@ class Page:
         rendered = [{"caption": caption, "uri": _uri(picture, magnify)} for caption, picture in pictures]
         self.blocks.append({"kind": "figures", "figures": rendered})
 
+    def link(self, text: str, target: str) -> None:
+        """A link to a file beside the page, or in a folder beside it."""
+        self.blocks.append({"kind": "link", "text": text, "target": target})
+
     def table(self, headers: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """A table; numbers are best given as formatted text."""
         self.blocks.append({"kind": "table", "headers": headers, "rows": [list(map(str, r)) for r in rows]})

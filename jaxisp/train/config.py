@@ -27,7 +27,10 @@ class TrainConfig:
 
     Args:
         clean: folders of clean photographs.
-        recipe: the name of the recipe; its text stands in the run's recipe.toml.
+        recipe: the name of the recipe, or a mixture, as "phone=0.8,clean=0.2"; its text stands in the run's
+            recipe.toml.
+        phases: where a built-in recipe has a mosaic, it begins at any photosite of its pattern's cell, drawn
+            for each patch; False: at the recipe's own. TOML files and given recipes are used as they are.
         model: one of `jaxisp.models.MODELS`.
         model_options: of its constructor.
         steps: updates.
@@ -60,6 +63,7 @@ class TrainConfig:
 
     clean: tuple[str, ...]
     recipe: str
+    phases: bool = True
     model: str = "unet"
     model_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 5000

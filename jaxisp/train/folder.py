@@ -9,7 +9,8 @@ from jaxisp import __version__
 from jaxisp.errors import InputError
 from jaxisp.io.digests import check_seal, sealed_toml
 from jaxisp.io.files import check_new, files_below, write_text
-from jaxisp.recipe import Recipe
+from jaxisp.mixture import Degradation
+from jaxisp.recipes import load_degradation
 from jaxisp.train.config import TrainConfig
 
 _LIGHTS = {"encoded": "display-encoded sRGB", "linear": "linear light"}
@@ -17,7 +18,7 @@ CONFIG, RECIPE, CARD, POOL = "config.toml", "recipe.toml", "MODEL_CARD.md", "poo
 _WRITTEN = (CARD, "log.csv", "validation.csv", "checkpoints", "tensorboard", POOL)
 
 
-def check_folder(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool) -> None:
+def check_folder(run: Path, config: TrainConfig, recipe: Degradation, *, resume: bool) -> None:
     """Raise InputError where the folder holds a run and this is not to resume it, or is told something else
     (more steps are allowed); or where it holds no run, but files that a run would replace."""
     if os.path.lexists(run / CONFIG):
@@ -31,17 +32,17 @@ def check_folder(run: Path, config: TrainConfig, recipe: Recipe, *, resume: bool
     check_new(run / RECIPE, _text(recipe))  # a run that was killed at its start leaves it
 
 
-def begin(run: Path, config: TrainConfig, recipe: Recipe) -> None:
+def begin(run: Path, config: TrainConfig, recipe: Degradation) -> None:
     """Write what a run is told."""
     write_text(run / RECIPE, _text(recipe))
     config.save(run / CONFIG)  # the last: where it stands, the run can be resumed
 
 
-def _text(recipe: Recipe) -> str:
+def _text(recipe: Degradation) -> str:
     return sealed_toml(recipe.to_toml())
 
 
-def _check_same(run: Path, config: TrainConfig, recipe: Recipe) -> None:
+def _check_same(run: Path, config: TrainConfig, recipe: Degradation) -> None:
     told, drawn = load_settings(run)
     before, now = dataclasses.asdict(told), dataclasses.asdict(config)
     for field, value in before.items():
@@ -51,17 +52,19 @@ def _check_same(run: Path, config: TrainConfig, recipe: Recipe) -> None:
         raise InputError(f"{run}: was begun with another recipe of the name {recipe.name!r}")
 
 
-def load_settings(run: str | Path) -> tuple[TrainConfig, Recipe]:
+def load_settings(run: str | Path) -> tuple[TrainConfig, Degradation]:
     """What a run was told. Raises InputError where the folder holds none, or it is not what was written."""
     run = Path(run)
     if not os.path.isfile(run / CONFIG):
         raise InputError(f"{run}: holds no run, expected a folder that jaxisp train wrote")
     for name in (CONFIG, RECIPE):
         check_seal(run / name)
-    return TrainConfig.load(run / CONFIG), Recipe.load(run / RECIPE)
+    return TrainConfig.load(run / CONFIG), load_degradation(run / RECIPE)
 
 
-def write_card(run: Path, config: TrainConfig, recipe: Recipe, result: dict[str, Any], data: str) -> None:
+def write_card(
+    run: Path, config: TrainConfig, recipe: Degradation, result: dict[str, Any], data: str
+) -> None:
     """MODEL_CARD.md: what the network is, what it was trained on, how well it does, what it is not for."""
     best = result["best"]
     figures = f"{best['psnr']:.2f} dB at step {best['step']}, " if best else "none yet, "

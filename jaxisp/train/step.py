@@ -11,7 +11,7 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from jaxisp.losses import charbonnier
-from jaxisp.recipe import Recipe
+from jaxisp.mixture import Degradation
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.target import pair_maker
 
@@ -76,7 +76,7 @@ def init_state(
 
 def make_step(
     model: nnx.Module,
-    recipe: Recipe,
+    recipe: Degradation,
     optimizer: optax.GradientTransformation,
     *,
     key: jax.Array,

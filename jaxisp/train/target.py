@@ -8,6 +8,7 @@ from jax.sharding import Mesh
 
 from jaxisp.catalogue import group_of
 from jaxisp.data.loader import degrader
+from jaxisp.mixture import Degradation, Mixture
 from jaxisp.recipe import Recipe
 
 TARGETS = ("photo", "camera")
@@ -17,17 +18,23 @@ Pairs = Callable[[jax.Array, Any], tuple[jax.Array, jax.Array]]
 """`(clean, indices) -> (noisy, target)`."""
 
 
-def without_noise(recipe: Recipe) -> Recipe:
-    """The recipe less noise, denoising, compression and rounding.
+def without_noise(recipe: Degradation) -> Degradation:
+    """The recipe, or each of a mixture, less noise, denoising, compression and rounding.
 
     For the same key and index it draws what the recipe draws, and so gives the picture that the same camera
     would have taken: its sharpness, colour and tone.
     """
+    if isinstance(recipe, Mixture):
+        return Mixture({name: _less_noise(own) for name, own in recipe.recipes.items()}, recipe.shares)
+    return _less_noise(recipe)
+
+
+def _less_noise(recipe: Recipe) -> Recipe:
     names = [s.name for s in recipe.chain.stages() if group_of(s.fn.__name__) in _OF_NOISE]
     return recipe.without(*names) if names else recipe
 
 
-def pair_maker(recipe: Recipe, key: jax.Array, target: str = "photo", mesh: Mesh | None = None) -> Pairs:
+def pair_maker(recipe: Degradation, key: jax.Array, target: str = "photo", mesh: Mesh | None = None) -> Pairs:
     """`(clean, indices) -> (noisy, target)`, each sample by its index alone.
 
     Args:

@@ -18,9 +18,9 @@ from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
 from jaxisp.io.locks import locked
+from jaxisp.mixture import Degradation, check_runs
 from jaxisp.models import count_parameters, load_weights, make_model
-from jaxisp.recipe import Recipe, check_photographs, check_traces
-from jaxisp.recipes import find_recipe
+from jaxisp.recipes import find_degradation
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread, spread_pairs
@@ -33,6 +33,8 @@ from jaxisp.train.target import pair_maker
 from jaxisp.train.validation import make_validation
 
 Tick = Callable[[int, int, str], Any]
+Metrics = Callable[[int, dict[str, float]], Any]
+"""`metrics(step, values)`: how a step or a validation went, for a logger of the user's own."""
 
 
 @dataclasses.dataclass
@@ -74,9 +76,10 @@ def train(
     config: TrainConfig,
     run: str | Path,
     *,
-    recipe: Recipe | None = None,
+    recipe: Degradation | None = None,
     resume: bool = False,
     tick: Tick = lambda done, total, text: None,
+    metrics: Metrics = lambda step, values: None,
 ) -> TrainResult:
     """Train a denoiser on pairs that are degraded on the fly.
 
@@ -87,9 +90,13 @@ def train(
     Args:
         config: everything but the place.
         run: a folder for checkpoints, log and model card; with several processes, one that all share.
-        recipe: the recipe that `config.recipe` names; looked up unless given.
+        recipe: the recipe or mixture that `config.recipe` names, used as it is; looked up unless given.
         resume: go on from the last checkpoint in the folder (from the start where there is none).
         tick: called with (done, total, text).
+        metrics: called with (step, values), in the order of the steps and by process 0 alone. Each step has
+            `train/loss`, `train/grad_norm`, `train/lr` and `train/images_per_second`, given every
+            `config.log_every` steps for those since the last time; each validation has `validation/loss`,
+            `validation/psnr` and `validation/psnr_in`. What it raises ends the run.
 
     Raises:
         InputError: the recipe cannot run on photographs, the folder holds a run and `resume` is false,
@@ -97,24 +104,31 @@ def train(
             longer finite.
     """
     run = Path(run)
-    recipe = recipe or find_recipe(config.recipe)
-    check_photographs(recipe)
-    check_traces(recipe)
+    recipe = recipe or find_degradation(config.recipe, phases=config.phases)
+    check_runs(recipe)
     lead = jax.process_index() == 0
     with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
         if lead:
             check_folder(run, config, recipe, resume=resume)
-        return _Run(config, run, recipe, lead, signals, tick).train()
+        return _Run(config, run, recipe, lead, signals, tick, metrics).train()
 
 
 class _Run:
     """One call of `train`."""
 
     def __init__(
-        self, config: TrainConfig, run: Path, recipe: Recipe, lead: bool, signals: "_Signals", tick: Tick
+        self,
+        config: TrainConfig,
+        run: Path,
+        recipe: Degradation,
+        lead: bool,
+        signals: "_Signals",
+        tick: Tick,
+        metrics: Metrics,
     ) -> None:
         self.config, self.run, self.recipe, self.lead = config, run, recipe, lead
         self.signals, self.tick, self.clock = signals, tick, time.perf_counter()
+        self.metrics = metrics
         self.mesh = make_mesh(config.batch)
         self.model = build_model(config)
         images = load_clean(
@@ -218,6 +232,8 @@ class _Run:
         self.loss = rows[-1]["loss"]
         if self.log:
             self.log.steps(rows)
+            for row in rows:
+                self.metrics(int(row["step"]), _named("train", row))
         mean = np.mean([row["loss"] for row in rows])
         self.tick(values[-1][0], self.config.steps, f"loss {mean:.5f}, {rate:.0f} images/s")
 
@@ -229,6 +245,7 @@ class _Run:
             self.validation, psnr = found, found["psnr"]
             if self.log:
                 self.log.validation({"step": int(self.state.step), **found})
+                self.metrics(int(self.state.step), _named("validation", found))
         self.checkpoints.save(self.state, psnr)
         self.rate.pause()
 
@@ -255,6 +272,10 @@ class _Run:
             data = f"{len(self.images.names)} files of {', '.join(self.config.clean)}"
             write_card(self.run, self.config, self.recipe, result.as_dict(), data)
         return result
+
+
+def _named(group: str, row: dict[str, float]) -> dict[str, float]:
+    return {f"{group}/{name}": value for name, value in row.items() if name not in ("step", "epoch")}
 
 
 def build_model(config: TrainConfig) -> nnx.Module:

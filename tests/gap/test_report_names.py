@@ -8,14 +8,15 @@ import pytest
 from jaxisp.gap import EFFECTS
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.features.residual_statistics import feature_names
-from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic, statistic_words
+from jaxisp.gap.report.axes import ACROSS, PIXELS, STATISTICS, statistic, statistic_words
 from jaxisp.gap.report.parameters import MEMBERS, parameters_of
+from jaxisp.gap.report.plots import heat, heat_picture
 from jaxisp.gap.report.words import words
 from jaxisp.gap.simulator.model import plain_camera
 from jaxisp.params import specs
 from jaxisp.pipeline import signature
 from jaxisp.stages import STAGES
-from tests.gap.page import CAUSE, REPORT, STATISTIC, Balance, changed, shown
+from tests.gap.page import CAUSE, PICTURES, REPORT, STATISTIC, Balance, changed, shown
 
 
 def test_statistics_have_names():
@@ -59,7 +60,27 @@ def test_statistics_that_differ_most_are_drawn_about_a_middle():
 
 def test_the_axes_of_pixels_say_what_they_run_over():
     text = shown(changed(where=[REPORT["where"][0] | {"channel": "Cb", "unit": "mean, steps"}]))
-    assert "from the middle (0) to the corners (1); up: Cb, mean, steps" in text
+    assert "from the middle (0) to the corners (1)" in text
+    assert ">distance from the middle [of that to a corner]<" in text and ">Cb, mean [8-bit steps]<" in text
+
+
+def test_every_axis_that_is_plotted_has_a_name():
+    assert set(ACROSS) >= set(PIXELS) - {"fixed_pattern"}
+
+
+def test_the_heat_map_shows_where_the_difference_is():
+    residual = np.zeros((24, 44, 3))
+    residual[8:16, 16:24] = 3, 0, 4  # luma and Cr
+    found = heat(residual)
+    assert found.shape == (3, 5) and found[1, 2] == 5 and np.count_nonzero(found) == 1
+    assert heat(residual[:4, :4]).shape == (1, 1)
+    picture = heat_picture(found, 5.0)
+    assert picture.shape == (24, 40, 3) and picture[8:16, 16:24].min() > 0.6 and picture[0, 0].max() < 0.05
+    text = shown(REPORT, PICTURES | {"residual_before": residual})
+    Balance(text)
+    where = text.split("<h2>Where")[1].split("<h3>Along")[0]
+    assert where.count("<img") == 3 and "linear-gradient" in where and "4.3 and more [8-bit steps]" in where
+    assert "Along the axes" not in shown(REPORT, {"name": "x"})
 
 
 @pytest.mark.parametrize("effect", [name for name, e in EFFECTS.items() if any(m.index for m in e.moves)])

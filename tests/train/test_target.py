@@ -8,7 +8,7 @@ import pytest
 from jaxisp.pipeline import Chain, Gate, stage
 from jaxisp.priors import Uniform
 from jaxisp.recipe import Recipe
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, mix
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.stages.noise import GaussianNoise
 from jaxisp.stages.tone import SCurve
@@ -30,6 +30,21 @@ def test_the_target_has_the_cameras_draws_and_no_noise():
     for image, curve, got in zip(IMAGES, params["s_curve"].strength, target):
         own = Recipe(Chain((stage("s_curve"),), "own"), {"s_curve": SCurve(strength=float(curve))})
         np.testing.assert_allclose(got, own.degrade(KEY, image[None])[0][0], atol=1e-6)
+
+
+def test_the_target_of_a_mixture_is_that_of_each_images_recipe():
+    soft = Chain((stage("s_curve"), stage("gaussian_noise")), "soft")
+    mixture = mix({Recipe(soft, {"s_curve": SCurve(strength=0.8)}): 0.5, "awgn": 0.5})
+    clean, at = jnp.asarray(np.tile(IMAGES, (3, 1, 1, 1))), np.arange(12)
+    noisy, target = pair_maker(mixture, KEY, "camera")(clean, at)
+    wanted, _, params = mixture.degrade(KEY, clean)
+    np.testing.assert_array_equal(noisy, wanted)
+    curved = Recipe(Chain((stage("s_curve"),), "own"), {"s_curve": SCurve(strength=0.8)}).degrade(KEY, clean)[
+        0
+    ]
+    is_soft = np.asarray(params["recipe"] == 0)
+    assert 0 < is_soft.sum() < 12
+    np.testing.assert_allclose(target, np.where(is_soft[:, None, None, None], curved, clean), atol=2e-6)
 
 
 def test_the_target_may_be_the_photograph():

@@ -21,11 +21,11 @@ from PIL import Image
 
 from jaxisp.errors import InputError
 from jaxisp.recipe import Recipe
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, find_degradation
 from jaxisp.testing import smooth_image
 from jaxisp.train import TrainConfig, load_denoiser, train
 from jaxisp.train.checkpoints import Checkpoints
-from jaxisp.train.folder import begin
+from jaxisp.train.folder import begin, load_settings
 from jaxisp.train.logs import Log, read_rows
 from jaxisp.train.step import LOSSES
 
@@ -110,6 +110,47 @@ def test_a_run_is_recorded(config, whole):
         assert fact in card
     events = list((whole.run / "tensorboard").iterdir())
     assert any(b"train/loss" in e.read_bytes() and b"validation/psnr" in e.read_bytes() for e in events)
+
+
+def test_metrics_go_to_a_callback_as_they_do_to_the_logs(config, tmp_path):
+    seen = []
+    run = tmp_path / "run"
+    train(config, run, metrics=lambda step, values: seen.append((step, values)))
+    for group, name in (("train", "log.csv"), ("validation", "validation.csv")):
+        told = [(step, values) for step, values in seen if f"{group}/loss" in values]
+        rows = read_rows(run / name)
+        assert [step for step, _ in told] == [int(row["step"]) for row in rows]
+        for (_, values), row in zip(told, rows):
+            assert {f"{group}/{k}": float(v) for k, v in row.items() if k not in ("step", "epoch")} == values
+    steps = [step for step, _ in seen]
+    assert steps == sorted(steps)  # loggers refuse to go back
+
+
+def test_a_callback_that_fails_ends_the_run_and_frees_its_folder(config, tmp_path):
+    def fails(step, values):
+        raise ConnectionError("no network")
+
+    with pytest.raises(ConnectionError):
+        train(config, tmp_path / "run", metrics=fails)
+    assert train(config, tmp_path / "run", resume=True).finished
+
+
+def test_a_mixture_trains_and_resumes_to_the_same_bits(config, tmp_path):
+    mixed = dataclasses.replace(config, recipe="awgn=0.5,amwgn=0.25,clean=0.25")
+    whole = train(mixed, tmp_path / "whole")
+    train(mixed, tmp_path / "part", tick=interrupt_at(2))
+    resumed = train(mixed, tmp_path / "part", resume=True)
+    assert fingerprint(resumed.state) == fingerprint(whole.state)
+    told, recipe = load_settings(tmp_path / "part")
+    assert told == mixed and recipe.names == ("awgn", "amwgn", "clean")
+    assert "50 % awgn, 25 % amwgn, 25 % clean" in (tmp_path / "part" / "MODEL_CARD.md").read_text()
+
+
+def test_a_named_recipe_with_a_mosaic_trains_on_all_its_phases():
+    phases = [find_degradation(n, phases=True).name for n in ("phone", "awgn", "phone-phases")]
+    assert phases == ["phone-phases", "awgn", "phone-phases"]
+    assert find_degradation("phone").name == "phone"
+    assert find_degradation("phone=0.5,clean=0.5", phases=True).names == ("phone-phases", "clean")
 
 
 def test_interrupted_and_resumed_is_the_uninterrupted_run(config, whole, stopped, tmp_path):

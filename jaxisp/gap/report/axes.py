@@ -51,6 +51,27 @@ PIXELS = {
 """For RAW+JPEG pairs: the quantity along the profile of each axis."""
 
 
+ACROSS = {
+    "radius": "distance from the middle [of that to a corner]",
+    "row": "row from the top",
+    "column": "column from the left",
+    "intensity": "luma [8-bit steps]",
+    "hue": "angle of chroma [degrees]",
+    "saturation": "distance from grey [8-bit steps]",
+    "channel": "channel",
+    "frequency": "size of the detail [px]",
+    "orientation": "direction of the change",
+    "edge": "strength of edges [8-bit steps per px]",
+    "cfa_phase": "row, column in the cell of the colour filters",
+    "block_phase": "row and column in the 8x8 blocks of JPEG",
+    "neighbourhood": "light around less the pixel's own [8-bit steps]",
+    "lag": "rows down, columns right to the neighbour [px]",
+    "tail": "beyond [standard deviations]",
+    "frame": "frame",
+}
+"""For RAW+JPEG pairs: names of the horizontal axes of the plots, with their units."""
+
+
 def statistic_rows(where: Mapping[str, Any]) -> tuple[list[dict[str, Any]], str]:
     """Bars for the statistics of an axis that differ most, and a note on the others.
 

@@ -14,10 +14,19 @@ from markupsafe import Markup
 from jaxisp.gap.axes.null_bank import bank
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.report import advice
-from jaxisp.gap.report.axes import PIXELS, STATISTICS, statistic_rows
+from jaxisp.gap.report.axes import ACROSS, PIXELS, STATISTICS, statistic_rows
 from jaxisp.gap.report.downstream import downstream_part
 from jaxisp.gap.report.parameters import parameters_of
-from jaxisp.gap.report.plots import curve, data_uri, difference_picture, gain_for
+from jaxisp.gap.report.plots import (
+    CELL,
+    curve,
+    data_uri,
+    difference_picture,
+    gain_for,
+    heat,
+    heat_picture,
+    heat_scale,
+)
 from jaxisp.gap.report.spectra import spectra_part
 from jaxisp.gap.report.words import (
     any_of,
@@ -116,6 +125,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         reducible=reached(report["gap"], bool(report["causes"])),
         pictures=[p for p in [_pictures(pictures)] if p],
         statistics=statistics,
+        heat=_heat(pictures),
         where=[_axis(w, statistics) for w in shown],
         nulls=len(bank()[report["kind"]]["largest"]) if any(w.get("usual") for w in shown) else 0,
         rest=", ".join(f"{words(w['axis'])} {percent(w['share'])}" for w in others),
@@ -338,9 +348,25 @@ def _axis(w: Mapping[str, Any], statistics: bool) -> dict[str, Any]:
     if statistics:
         rows, note = statistic_rows(w)
         return shown | {"meaning": STATISTICS.get(w["axis"], ""), "rows": rows, "note": note}
-    plot = Markup(curve(w["bins"], w["profile"], f"residual by {shown['name']}"))
-    up = ", ".join(filter(None, (w.get("channel"), w.get("unit"))))
-    return shown | {"meaning": PIXELS.get(w["axis"], ""), "plot": plot, "note": up and f"up: {up}"}
+    up = ", ".join(filter(None, (w.get("channel"), str(w.get("unit", "")).removesuffix(", steps"))))
+    across, title = ACROSS.get(w["axis"], shown["name"]), f"residual by {shown['name']}"
+    plot = Markup(curve(w["bins"], w["profile"], title, across, f"{up} [8-bit steps]".strip()))
+    return shown | {"meaning": PIXELS.get(w["axis"], ""), "plot": plot, "note": ""}
+
+
+def _heat(pictures: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Where in the held-out picture the difference is, before and after, on one scale."""
+    maps = {w: heat(pictures[f"residual_{w}"]) for w in _WHEN if pictures.get(f"residual_{w}") is not None}
+    if not maps:
+        return None
+    top = max(float(np.percentile(values, 99)) for values in maps.values())
+    shown = [("the camera's picture", pictures.get("target"))]
+    for when, values in maps.items():
+        whole = number(float(np.sqrt((values**2).mean())))
+        shown.append((f"difference {when}, {whole} over all", heat_picture(values, top)))
+    figures = [{"caption": text, "uri": data_uri(a)} for text, a in shown if a is not None]
+    told = {"name": str(pictures.get("name", "")), "top": number(top), "cell": CELL}
+    return told | {"figures": figures, "scale": Markup(heat_scale())}
 
 
 def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
