@@ -104,7 +104,7 @@ def other_scenes(folder: Path) -> dict[str, Any]:
 def left_out(name: str, phone: Phone) -> dict[str, Any]:
     """Eight pairs by known parameters: those of a fold before the encoder, by the camera of the others.
 
-    The whole fit's choices are kept, as in `jaxisp fit --hold-out scenes`.
+    The true demosaicker and median are given: what the numbers lose is measured, not the choices.
     """
     with tempfile.TemporaryDirectory() as temporary:
         truth = known_pairs(Path(temporary), phone, DESIGNS[name], framed())
