@@ -18,7 +18,7 @@ import jax
 import numpy as np
 import rawpy
 
-from experiments.fit_phones import intensity, iphone7, large, lens, libraw, phones, recovery
+from experiments.fit_phones import intensity, iphone7, large, lens, libraw, phones, recovery, scenes
 from experiments.fit_phones.common import SEED, Run
 from jaxisp.io import output_folder
 
@@ -30,6 +30,7 @@ PARTS = {
     "lens": lens,
     "intensity": intensity,
     "large": large,
+    "scenes": scenes,
 }
 """By name: modules with `runs(data)`, what makes the figures of each case, and `page(cases)`, its section."""
 

@@ -1,14 +1,15 @@
 """What the parts share: scenes, seed, and the figures that are kept of a fit."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxisp.fit import FitResult, fit_dataset
+from jaxisp.fit import Example, FitResult, fit_dataset, fit_examples
 from jaxisp.samples import scene, scene_names
 
 Run = Callable[[], dict[str, Any]]
@@ -30,8 +31,17 @@ def framed(size: int = SIZE) -> dict[str, np.ndarray]:
 
 def fitted(name: str, folder: str | Path, **options: Any) -> FitResult:
     """The fit of a folder; one of that name that was stopped goes on where it was."""
+    return _resumed(name, partial(fit_dataset, folder, **options))
+
+
+def fitted_examples(name: str, examples: Sequence[Example], **options: Any) -> FitResult:
+    """The same of pairs in memory."""
+    return _resumed(name, partial(fit_examples, examples, **options))
+
+
+def _resumed(name: str, fit: Callable[..., FitResult]) -> FitResult:
     journal = Path(tempfile.gettempdir()) / f"fit-phones-{name}.partial"
-    result = fit_dataset(folder, journal=journal, **options)
+    result = fit(journal=journal)
     journal.unlink(missing_ok=True)
     return result
 

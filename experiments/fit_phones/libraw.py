@@ -47,22 +47,35 @@ def libraw_on_phone(name: str, seed: int) -> dict[str, Any]:
 
 
 def libraw_on_frame(path: Path, seed: int) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as temporary:
+        return against_libraw(framed_dng(path, Path(temporary) / "frame.dng"), seed)
+
+
+def framed_dng(path: Path, dng: Path) -> Path:
     """The frame as a DNG of a camera that sees sRGB's primaries, balanced to grey on the whole."""
     mosaic = np.fromfile(path, "<u2").reshape(1080, 1920)
     light = [mosaic[i // 2 :: 2, i % 2 :: 2].astype(float).mean() - 200 for i in range(4)]
     red, green, blue = light[3], (light[1] + light[2]) / 2, light[0]
-    with tempfile.TemporaryDirectory() as temporary:
-        dng = Path(temporary) / "frame.dng"
-        neutral = (red / green, 1.0, blue / green)
-        write_dng(
-            dng, mosaic, cfa="BGGR", black=(200,), white=4092, color_matrix=XYZ_TO_SRGB,
-            as_shot_neutral=neutral,
-        )  # fmt: skip
-        return against_libraw(dng, seed)
+    neutral = (red / green, 1.0, blue / green)
+    write_dng(
+        dng, mosaic, cfa="BGGR", black=(200,), white=4092, color_matrix=XYZ_TO_SRGB,
+        as_shot_neutral=neutral,
+    )  # fmt: skip
+    return dng
 
 
 def against_libraw(path: Path, seed: int) -> dict[str, Any]:
     """A pair developed by LibRaw with settings that are drawn, not told."""
+    settings, picture = against(path, seed)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        (folder / path.name).write_bytes(path.read_bytes())
+        write_png(folder / f"{path.stem}.png", picture)
+        return {"settings": settings, **short(fitted(f"libraw-{path.stem}", folder))}
+
+
+def against(path: Path, seed: int) -> tuple[dict[str, Any], np.ndarray]:
+    """The settings, and the picture (H, W, 3) in [0, 1]."""
     rng = np.random.default_rng((SEED, seed))
     gamma = [(2.222, 4.5), (2.4, 12.92), (1.8, 6.0)][rng.integers(3)]
     settings: dict[str, Any] = {
@@ -77,11 +90,7 @@ def against_libraw(path: Path, seed: int) -> dict[str, Any]:
         settings |= {"crashed_at": settings["noise_thr"], "noise_thr": 0.0}
         picture = in_a_child(path, settings)
     assert picture is not None, "LibRaw crashed without denoising"
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        (folder / path.name).write_bytes(path.read_bytes())
-        write_png(folder / f"{path.stem}.png", picture.astype(np.float32) / 255)
-        return {"settings": settings, **short(fitted(f"libraw-{path.stem}", folder))}
+    return settings, picture.astype(np.float32) / 255
 
 
 def in_a_child(path: Path, settings: dict[str, Any]) -> np.ndarray | None:

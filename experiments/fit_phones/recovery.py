@@ -64,17 +64,23 @@ def known_camera(phone: Phone, design: model.Design) -> Recipe:
     return Recipe(chain, chain.init() | own, meta={"from_file": ["mosaic_white_balance"]})
 
 
+def known_pairs(folder: Path, phone: Phone, design: model.Design, scenes: dict[str, np.ndarray]) -> Recipe:
+    """Write the pairs of a camera with known parameters, and return it."""
+    truth = known_camera(phone, design)
+    for index, (title, picture) in enumerate(scenes.items()):
+        mosaic, _, header = shoot(picture, phone, (SEED, index))
+        header["orientation"] = 1
+        write_dng(folder / f"{title}.dng", mosaic, **header)
+        done = develop(read_raw(folder / f"{title}.dng"), truth)
+        write_jpeg(folder / f"{title}.jpg", done, quality=phone.quality, subsampling=phone.subsampling)
+    return truth
+
+
 def recover(name: str, phone: Phone, count: int = 8) -> dict[str, Any]:
     """Pairs made by a camera of the fitter's kind with known parameters, on RAWs of a reference phone."""
-    truth = known_camera(phone, DESIGNS[name])
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        for index, (title, picture) in enumerate(list(framed().items())[:count]):
-            mosaic, _, header = shoot(picture, phone, (SEED, index))
-            header["orientation"] = 1
-            write_dng(folder / f"{title}.dng", mosaic, **header)
-            done = develop(read_raw(folder / f"{title}.dng"), truth)
-            write_jpeg(folder / f"{title}.jpg", done, quality=phone.quality, subsampling=phone.subsampling)
+        truth = known_pairs(folder, phone, DESIGNS[name], dict(list(framed().items())[:count]))
         result = fitted(f"recovery-{name}-{count}", folder)
         own, best = (
             [developed(pair, c) for pair in open_dataset(folder).pairs] for c in (result.camera, truth)
