@@ -18,11 +18,11 @@ demo: $(READY)
 # and fit serves others of their file
 test: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-	$(PYTEST) --dist loadgroup -m "not slow and optimised"
+	$(PYTEST) --dist loadgroup --no-loadscope-reorder -m "not slow and optimised"
 
 test-all: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-	$(PYTEST) --dist loadgroup -m "slow or optimised"
+	$(PYTEST) --dist loadgroup --no-loadscope-reorder -m "slow or optimised"
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -44,12 +44,22 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 _MOST_MEMORY = 3e9  # bytes
 
 
+_LONGEST = ("test_diagnose", "fit", "test_clean_noisy", "test_devices", "test_palette", "test_doctests")
+"""Files and folders that take half a minute and more, longest first: one that begins last is waited for."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """With `--dist loadgroup` a file's tests stay on one worker, and so do all of the fitter: one fit."""
+
+    def place(item):
+        folder = item.path.parent
+        return folder if folder.name == "fit" else item.path
+
     for item in items:
-        folder = item.path.parent.name
-        item.add_marker(pytest.mark.xdist_group(folder if folder == "fit" else str(item.path)))
+        item.add_marker(pytest.mark.xdist_group(str(place(item))))
+    last = len(_LONGEST)
+    items.sort(key=lambda item: _LONGEST.index(n) if (n := place(item).stem) in _LONGEST else last)
 
 
 @pytest.fixture(scope="module", autouse=True)

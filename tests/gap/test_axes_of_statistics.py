@@ -1,5 +1,7 @@
 """What stands in one place of all pictures is told from what it does to other statistics."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,12 @@ from jaxisp.gap.features.residual_statistics import feature_names
 from jaxisp.gap.features.tolerances import axis_of, present, weights
 
 SIDE, SCENES = 96, [f"scene{k}" for k in range(6)]
-AXIS = np.array([axis_of(name) for name in feature_names()])
+
+
+@functools.cache
+def axes():
+    """(F,) the axis of each statistic; naming them traces all of them."""
+    return np.array([axis_of(name) for name in feature_names()])
 
 
 @pytest.fixture
@@ -45,16 +52,16 @@ def test_scenes_are_counted_not_frames(noise):
 
 def test_what_vanishes_with_the_place_is_the_place_s():
     """Tails that are all the stamp's are, rows are not, and what the tails have of their own is not."""
-    size = 20 * np.isin(AXIS, ("tail", "row")) + 5.0 * (AXIS == "fixed_pattern") + 1.0
+    size = 20 * np.isin(axes(), ("tail", "row")) + 5.0 * (axes() == "fixed_pattern") + 1.0
     difference, weight = size * np.sqrt(weights()), weights()
-    without = np.where(AXIS == "tail", 0.5, 0.2) * difference
+    without = np.where(axes() == "tail", 0.5, 0.2) * difference
     rows = located(difference, weight, difference[None], ["one"])
     share = {row["axis"]: row["share"] for row in rows}
     assert "frame" not in share, "no scene has several"
     assert np.concatenate([row["weights"] for row in rows]).mean() == pytest.approx(1)
     found = reattributed(rows, difference, without, weight, (difference[None], without[None]), ["one"])
     now = {row["axis"]: row["share"] for row in found}
-    before, after = ((own**2 - weight)[AXIS == "tail"].sum() for own in (difference, without))
+    before, after = ((own**2 - weight)[axes() == "tail"].sum() for own in (difference, without))
     kept = after / before
     assert now["tail"] == pytest.approx(kept * share["tail"])
     assert now["fixed_pattern"] == pytest.approx(share["fixed_pattern"] + (1 - kept) * share["tail"])
@@ -68,7 +75,7 @@ def test_what_vanishes_with_the_place_is_the_place_s():
 
 def by_scene(sizes, axis="row"):
     """(N, F) differences in units, as large as these on one axis, and 1.5 on all others."""
-    return np.where(axis == AXIS, np.reshape(sizes, (-1, 1)), 1.5) * np.sqrt(weights())
+    return np.where(axis == axes(), np.reshape(sizes, (-1, 1)), 1.5) * np.sqrt(weights())
 
 
 def spread_of(apart, names, axis="row"):
@@ -93,7 +100,7 @@ def test_chance_of_scenes_is_not_an_axis(rng):
     """Where all that scenes differ in is chance, as large as the units say, no axis has the whole for sure,
     nor more in draws than in all."""
     counted = present(weights())
-    apart = by_scene([4] * 8) + np.sqrt(8 * weights()) * counted * rng.normal(size=(8, len(AXIS)))
+    apart = by_scene([4] * 8) + np.sqrt(8 * weights()) * counted * rng.normal(size=(8, len(axes())))
     for row in located(apart.mean(0), weights(), apart, [*"abcdefgh"]):
         low, high = row["ci"]
         assert high - low < 0.35 and low <= row["share"] <= high
@@ -102,7 +109,7 @@ def test_chance_of_scenes_is_not_an_axis(rng):
 def test_interval_moves_with_what_is_credited():
     sizes, names = [6, 3, 6, 3], ["a", "b", "c", "d"]
     apart = by_scene(sizes, "tail")
-    without = np.where(AXIS == "tail", 0, apart)
+    without = np.where(axes() == "tail", 0, apart)
     args = apart.mean(0), without.mean(0), weights()
     rows = located(args[0], weights(), apart, names)
     before = {row["axis"]: row for row in rows}

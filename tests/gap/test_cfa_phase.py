@@ -1,5 +1,7 @@
 """Pairs that were cut at different places of the colour filter array."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,26 +12,36 @@ from jaxisp.gap.features.residual_statistics import feature_names
 from jaxisp.gap.pairs.pairs import Pairs
 
 N = 5
-NAMES = feature_names()
-AT = [
-    [[NAMES.index(f"logvar cfa_phase {c}{i}{j}") for j in (0, 1)] for i in (0, 1)] for c in ("Y", "Cb", "Cr")
-]
+
+
+@functools.cache
+def places():
+    """(3, 2, 2) the places of the statistics by colour and phase; naming them traces all statistics."""
+    names = feature_names()
+    return np.array(
+        [
+            [[names.index(f"logvar cfa_phase {c}{i}{j}") for j in (0, 1)] for i in (0, 1)]
+            for c in ("Y", "Cb", "Cr")
+        ]
+    )
+
+
 BY = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 0)]
 
 
 @pytest.fixture
 def simulated(rng):
     """A sensor's: green on one diagonal, red and blue on the other."""
-    found = rng.normal(size=(N, len(NAMES)))
+    found = rng.normal(size=(N, len(feature_names())))
     phases = np.array([[[0.2, -0.2], [-0.2, 0.2]], [[0.0, -0.3], [0.3, 0.0]], [[0.0, 0.4], [-0.4, 0.0]]])
-    found[:, AT] = phases + 0.05 * rng.normal(size=(N, 3, 2, 2))
+    found[:, places()] = phases + 0.05 * rng.normal(size=(N, 3, 2, 2))
     return found
 
 
 def cut(simulated, by, rng, noise=0.03):
     real = rng.normal(size=simulated.shape)
     for own, model, move in zip(real, simulated, by):
-        own[AT] = np.roll(model[AT], move, (1, 2))
+        own[places()] = np.roll(model[places()], move, (1, 2))
     return real + noise * rng.normal(size=real.shape)
 
 
@@ -51,7 +63,7 @@ def test_one_pattern_for_all_stays_whatever_it_is(moves, simulated, rng):
 
 def test_what_shows_no_pattern_stays(moves, simulated, rng):
     flat = simulated.copy()
-    flat[:, AT] = 0.05 * rng.normal(size=(N, 3, 2, 2))
+    flat[:, places()] = 0.05 * rng.normal(size=(N, 3, 2, 2))
     assert not moves(flat, simulated).any()
 
 

@@ -1,5 +1,7 @@
 """Noise statistics: each answers to the noise it is named after, and not to an error of the mean at edges."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -27,13 +29,20 @@ ROW, COLUMN = np.mgrid[:H, :W]
 MASK = jnp.ones((N, H, W), jnp.float32)
 FRAMES = frames_of(["a", "b", "c", "d"])
 SEEN = unknown_quantization((H, W))
-MAPS = normalised_regressors(jnp.asarray(SCENE), MASK)
+
+
+@functools.cache
+def scene_maps():
+    """What the statistics of SCENE are regressed on."""
+    return normalised_regressors(jnp.asarray(SCENE), MASK)
 
 
 def measured(residual):
     """(F,) means over the scenes, by name."""
     found = np.asarray(
-        features(jnp.asarray(SCENE + residual, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES, SEEN)
+        features(
+            jnp.asarray(SCENE + residual, jnp.float32), jnp.asarray(SCENE), MASK, scene_maps(), FRAMES, SEEN
+        )
     )
     assert np.isfinite(found).all()
     return dict(zip(feature_names(), found.mean(0)))
@@ -156,7 +165,9 @@ def test_amplitudes_are_root_mean_squares_in_steps():
     scaled = np.zeros((N, H, W, 3))
     scaled[0, ..., channel] = np.asarray(plane)
     amplitude = np.sqrt(np.mean(np.asarray(plane) ** 2))
-    found = features(jnp.asarray(SCENE + scaled, jnp.float32), jnp.asarray(SCENE), MASK, MAPS, FRAMES, SEEN)
+    found = features(
+        jnp.asarray(SCENE + scaled, jnp.float32), jnp.asarray(SCENE), MASK, scene_maps(), FRAMES, SEEN
+    )
     own = np.asarray(found)[0, feature_names().index("mean neighbourhood detail")]
     assert own == pytest.approx(amplitude, rel=1e-3)
 
@@ -183,7 +194,7 @@ def test_what_changes_between_frames_is_measured_in_steps():
     change[:2] += np.array([0.5, -0.5])[:, None, None, None]
     frames = frames_of(["a", "a", "b", "c"])
     still = jnp.asarray(np.repeat(SCENE[:1], N, 0))
-    found = np.asarray(features(still + change, still, MASK, [MAPS[0]] * N, frames, SEEN))
+    found = np.asarray(features(still + change, still, MASK, [scene_maps()[0]] * N, frames, SEEN))
     at = [k for k, name in enumerate(feature_names()) if axis_of(name) == "frame"]
     wanted = [2**-0.5, 2**-0.5, 0, 0]  # two frames are less far from their mean than from a known one
     np.testing.assert_allclose(found[:, at], np.outer(wanted, np.ones(len(at))), atol=1e-4)
@@ -223,7 +234,7 @@ def test_frames_of_one_scene_give_the_noise_without_what_they_share():
 def test_noise_is_without_what_follows_the_clean_picture():
     grains = white(5, 3.0)
     error = 0.1 * (SCENE - SCENE.mean())
-    found, alone = (noise_of(SCENE + y, SCENE, MASK, MAPS, FRAMES) for y in (grains + error, grains))
+    found, alone = (noise_of(SCENE + y, SCENE, MASK, scene_maps(), FRAMES) for y in (grains + error, grains))
     assert np.std(found - alone) < 0.05 * np.std(error) and np.std(error) > 3
     assert np.std(alone) == pytest.approx(3.0, rel=0.02)
 

@@ -60,7 +60,6 @@ def test_every_quality_is_pillows(subsampling, kind):
     np.testing.assert_array_equal(got, want)
 
 
-@pytest.mark.optimised
 @pytest.mark.parametrize("subsampling", SAMPLINGS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 35), (2, 19), (7, 9), (9, 4), (17, 5), (17, 33)])
 def test_every_size_is_pillows(subsampling, shape):
