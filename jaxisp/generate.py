@@ -320,8 +320,10 @@ def is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
     """Whether a sample's three files are, to the bit, what was written for the same arguments."""
     path = out / f"{sample.stem}.toml"
     try:
-        meta = parse_toml(read_sealed(path), str(path))["meta"]
+        meta = parse_toml(read_sealed(path), str(path)).get("meta", {})
     except InputError:
         return False
-    pictures = meta["sha256"].items()
-    return meta["sample"] == note and all(is_file_of(out / f"{sample.stem}.{k}.png", d) for k, d in pictures)
+    digests = meta.get("sha256") if isinstance(meta, dict) else None
+    if not isinstance(digests, dict) or set(digests) != {"clean", "noisy"} or meta.get("sample") != note:
+        return False
+    return all(is_file_of(out / f"{sample.stem}.{kind}.png", digest) for kind, digest in digests.items())

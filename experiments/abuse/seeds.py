@@ -191,7 +191,6 @@ def _others() -> list[Seed]:
         arrays, about=np.asarray('{"model": "fast", "options": {}}'), weights=np.ones((3, 2), np.float32)
     )
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    lab = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
     figures = {"shot": Figure(1e-3, 1e-5), "read": Figure(2e-3, 1e-5), "tail": Figure(0.1, 0.01)}
     noise = [
         Noise(iso, figures, 64.0, 1023.0, "RGGB", (Figure(1e-3, 1e-5),) * 4, (1e-3, 1e-6), (4, 4))
@@ -202,7 +201,6 @@ def _others() -> list[Seed]:
         Seed("mixture", ".toml", mix({"phone": 0.5, "awgn": 0.5}).to_toml().encode()),
         Seed("network", ".npz", arrays.getvalue()),
         Seed("profile", ".icc", profile),
-        Seed("profile", ".icc", lab),
         *(Seed("archive", f".{kind}", data) for kind, data in _archives()),
     ]
 

@@ -193,7 +193,7 @@ class Calibrated:
             if not noise:
                 raise ValueError("no noise")
             return cls(str(table["camera"]), noise, tuple(map(str, table.get("notes", ()))))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{source}: is a damaged noise file ({short(error)})") from None
 
     def save(self, path: PathLike) -> None:

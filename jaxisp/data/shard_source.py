@@ -126,9 +126,9 @@ class ShardSource:
         if not 0 <= position < len(self):
             raise IndexError(position)
         place = int(self._order[position])
-        if self._records is None:
-            self._records = _array_record_source(self.paths)
         try:
+            if self._records is None:
+                self._records = _array_record_source(self.paths)
             record = self._records[place]
             with np.load(io.BytesIO(record), allow_pickle=False) as arrays:
                 return dict(arrays)
