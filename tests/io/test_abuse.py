@@ -163,7 +163,7 @@ def test_stages_nested_without_end():
 def test_some_of_the_fuzzers_inputs(kind):
     with tempfile.TemporaryDirectory() as folder:
         seeds = all_seeds(Path(folder))
-        for index in range(120):
+        for index in range(30 if kind in ("sample", "manifest") else 120):
             seed, data = make_input(seeds, kind, index)
             path = Path(folder) / file_name(kind, seed.suffix)
             path.write_bytes(data)
