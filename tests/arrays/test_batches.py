@@ -91,7 +91,7 @@ def test_the_scratch_memory_is_that_of_a_group(monkeypatch):
     def scratch(most):
         monkeypatch.setattr(batches, "SCRATCH", most * 4 * batches.PER_STAGE)
         monkeypatch.setattr(batches, "LEAST", 0)
-        loss = jax.grad(lambda v: jnp.sum(compiled_batch.__wrapped__(chain, chain.init(), v) ** 2))
+        loss = jax.grad(lambda v: jnp.sum(compiled_batch.__wrapped__(chain, chain.init(), v, None, 0) ** 2))
         return jax.jit(loss).lower(x).compile().memory_analysis().temp_size_in_bytes
 
     # the whole batch's frames go in and come out
