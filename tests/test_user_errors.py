@@ -119,7 +119,7 @@ def test_parameters_that_are_missing_or_are_no_dict():
         TypeError, match=r"params must be a dict by stage name, as {'jpeg': Jpeg\(\)}, got Jpeg"
     ):
         run(node, Jpeg(), image)
-    with pytest.raises(TypeError, match=r"params\['jpeg'\] must be a Jpeg, got a number or an array"):
+    with pytest.raises(TypeError, match=r"params\['jpeg'\] must be a Jpeg, got float"):
         run(node, {"jpeg": 75.0}, image)
     chain = Chain((stage("clip"), Gate(stage("gaussian_noise")), Shuffle((stage("unsharp_mask"),))))
     for name in chain.init():

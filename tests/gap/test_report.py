@@ -28,7 +28,7 @@ def test_files(tmp_path):
     assert json.loads((tmp_path / "new" / "report.json").read_text()) == REPORT
     assert sorted(p.name for p in page.parent.iterdir()) == ["report.html", "report.json"]
     text = page.read_text()
-    assert Balance(text).pictures == 5
+    assert Balance(text).pictures == 8
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "url(" not in text and "@import" not in text
     assert (
         "<script>alert" not in text
@@ -154,7 +154,7 @@ def test_what_falls_short_is_said():
 def test_what_the_likeliest_effect_changes_is_shown_beside_the_difference():
     changes = np.zeros((24, 44, 3))
     text = shown(REPORT, PICTURES | {"candidate": {"effect": "veiling_glare", "changes": changes}})
-    assert "what veiling glare changes, ×32 about grey" in text and Balance(text).pictures == 6
+    assert "what veiling glare changes, ×32 about grey" in text and Balance(text).pictures == 9
 
 
 @pytest.mark.parametrize(
