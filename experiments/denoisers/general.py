@@ -103,6 +103,7 @@ def main() -> None:
     parser.add_argument("--run", default="general")
     parser.add_argument("--steps", type=int)
     parser.add_argument("--start", default="", help="weights to begin with")
+    parser.add_argument("--seed", type=int, default=0, help="of the pool: another where --start is given")
     parser.add_argument("--out", type=Path, default=Path("general.npz"))
     options = parser.parse_args()
     if options.what == "clean":
@@ -115,7 +116,7 @@ def main() -> None:
     use_cores()
     keep_compiled()
     changes = {"steps": options.steps} if options.steps else {}
-    config = configuration(options.work, start=options.start, **changes)
+    config = configuration(options.work, start=options.start, seed=options.seed, **changes)
     result = train(
         config, run, resume=True, tick=lambda done, total, text: print(done, total, text, flush=True)
     )

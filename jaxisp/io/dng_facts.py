@@ -56,6 +56,9 @@ def white_level(tags: DngTags, tell: Tell) -> float:
     if tags.get(tag.WHITE) is None:
         return largest
     white = tags.number(tag.WHITE) or 0.0
+    stated = tags.numbers(tag.WHITE)
+    if stated is not None and stated.size and (stated != stated[0]).any():
+        tell(f"its WhiteLevels differ: that of the first plane, {white:g}, is taken for all")
     # one more than the largest code is a slip that does no harm
     if 0 < white <= largest + 1:
         return white

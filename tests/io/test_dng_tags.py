@@ -200,6 +200,7 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
     [
         ((50717, 4, 1, 0), "WhiteLevel of 0 is not from 1 to 65535: 65535 is taken", 65535),
         ((50717, 4, 1, 2**32 - 1), "WhiteLevel of 4.29497e+09", 65535),
+        ((50717, 4, 4, (16383, 15000, 15000, 14000)), "WhiteLevels differ: that of the first", 16383),
         ((50712, 3, 3, (1023, 512, 0)), "LinearizationTable falls", WHITE),
         ((50712, 3, 2, (500, 500)), "LinearizationTable is of one value", WHITE),
         ((50720, 4, 2, (71, 52)), "DefaultCrop ends outside of its 70 x 52 pixels", WHITE),
