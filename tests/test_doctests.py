@@ -9,12 +9,11 @@ import pytest
 
 import jaxisp
 
-MODULES = (
-    "jaxisp.errors", "jaxisp.io.images", "jaxisp.losses", "jaxisp.metrics", "jaxisp.models", "jaxisp.node",
-    "jaxisp.params", "jaxisp.phase", "jaxisp.pipeline", "jaxisp.priors", "jaxisp.process.cache",
-    "jaxisp.process.memory", "jaxisp.recipe", "jaxisp.recipes", "jaxisp.registry", "jaxisp.samples.scenes",
-    "jaxisp.testing", "jaxisp.unprocess",
-)  # fmt: skip
+MODULES = sorted({
+    *jaxisp._HOME.values(), "jaxisp.errors", "jaxisp.io.images", "jaxisp.losses", "jaxisp.metrics",
+    "jaxisp.models", "jaxisp.node", "jaxisp.params", "jaxisp.phase", "jaxisp.priors", "jaxisp.recipes", "jaxisp.registry",
+    "jaxisp.samples.scenes", "jaxisp.testing", "jaxisp.unprocess",
+})  # fmt: skip
 
 
 @pytest.mark.optimised

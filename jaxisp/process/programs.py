@@ -39,7 +39,7 @@ def compile_times() -> Iterator[list[Program]]:
         >>> with jaxisp.compile_times() as programs:
         ...     picture = jaxisp.run(blur, blur.init(), image)
         >>> [program.name for program in programs][-1]
-        'run'
+        'compiled'
         >>> with jaxisp.compile_times() as programs:
         ...     picture = jaxisp.run(blur, blur.init(), image)
         >>> programs
