@@ -408,7 +408,7 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "third-party": third_party(others["earlier"]),
         "switches": switches.rates(others["switches"]["records"]),
         "switches-by-case": switches.by_case(others["switches"]["records"]),
-        "switches-left": ", ".join(others["switches"]["not run"]) + "\n",
+        "switches-left": "".join(f"- {name}\n" for name in others["switches"]["not run"]),
         "fresh": fresh(read("fresh-scenes.json")),
         "drops": drops(read("null-drops.json")),
         "null-bank": null_bank([*cases_of(found, "nulls"), *cases_of(found, "frames")]),

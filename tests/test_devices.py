@@ -98,6 +98,17 @@ def test_an_image_has_its_bits_in_a_batch_of_any_size(name, sizes):
         np.testing.assert_array_equal(np.concatenate(parts), wanted)
 
 
+@pytest.mark.slow
+def test_an_image_of_rsblur_alone_differs_by_as_little_as_it_says():
+    """A step of 8 bits in one value of 10,000 at most: a path that is drawn alone is rounded otherwise."""
+    recipe, key = RECIPES["rsblur"](), jax.random.key(0)
+    images = np.stack([scene(n, 64) for n in scene_names()[:4]]).astype(np.float32)
+    wanted = np.asarray(recipe.degrade(key, images)[0])
+    parts = [recipe.degrade(key, images[i : i + 1], i)[0] for i in range(len(images))]
+    apart = np.abs(np.concatenate(parts) - wanted)
+    assert apart.max() < 1.01 / 255 and (apart > 0).mean() < 1e-4
+
+
 @pytest.mark.parametrize("bins", [3, 20, 33])
 def test_the_kernel_of_a_bilateral_grid_has_its_bits_in_a_batch_of_any_size(bins):
     """XLA sums a product with a single column, or with few, in other orders."""

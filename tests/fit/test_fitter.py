@@ -38,7 +38,8 @@ def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     (pair,) = result.pairs
     before = psnr(pair.start[8:-8, 8:-8], pair.target[8:-8, 8:-8])
     # the start is good already (27.7 dB); gradient descent from a start of 25.1 dB came to 31.2 too
-    assert pair.held_out_psnr > max(31, before + 3)
+    # squared errors of tiles that were not fitted fall to 0.4 of the start's
+    assert pair.held_out_psnr > max(31.5, before + 4)
     assert abs(pair.held_out_psnr - pair.psnr) < 3
     assert np.abs(pair.shift).max() < 0.2
     assert np.all(np.diff(result.losses[:10]) <= 0)
