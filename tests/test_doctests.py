@@ -11,8 +11,8 @@ import jaxisp
 
 MODULES = sorted({
     *jaxisp._HOME.values(), "jaxisp.errors", "jaxisp.io.images", "jaxisp.losses", "jaxisp.metrics",
-    "jaxisp.models", "jaxisp.node", "jaxisp.params", "jaxisp.phase", "jaxisp.priors", "jaxisp.recipes", "jaxisp.registry",
-    "jaxisp.samples.scenes", "jaxisp.testing", "jaxisp.unprocess",
+    "jaxisp.models", "jaxisp.node", "jaxisp.params", "jaxisp.phase", "jaxisp.priors", "jaxisp.recipes",
+    "jaxisp.registry", "jaxisp.samples.scenes", "jaxisp.testing",
 })  # fmt: skip
 
 
