@@ -22,6 +22,7 @@ class LevelNet(nnx.Module):
 
     The map has the standard deviation of the noise of luma and of chroma in each cell of 16x16 px. A small
     network of its own estimates it from the picture; whoever multiplies it makes the other smooth more.
+    What is taken off is in units of the map: a picture that is nearly clean stays as it is.
 
     Args:
         channels: of the image: 3.
@@ -88,6 +89,7 @@ class LevelNet(nnx.Module):
         padded = pad_to_multiple(x, self.multiple)
         shape = (len(x), padded.shape[1] // 2, padded.shape[2] // 2, 2)
         told = _spread(_told(levels), shape).astype(x.dtype)
+        unit = jnp.linalg.norm(_spread(levels, shape), axis=-1, keepdims=True).astype(x.dtype)
         y = jnp.concatenate([pixel_unshuffle(padded, 2), told], -1)
         y = self.first(y)
         skips = []
@@ -98,7 +100,7 @@ class LevelNet(nnx.Module):
         y = _through(self.down[-1], y)
         for block, grow, skip in reversed(list(zip(self.up, self.grow, skips))):
             y = _through(block, pixel_shuffle(grow(y), 2) + skip)
-        return x - pixel_shuffle(self.last(y).astype(x.dtype), 2)[:, :h, :w]
+        return x - pixel_shuffle(unit * self.last(y).astype(x.dtype), 2)[:, :h, :w]
 
     def objective(
         self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
