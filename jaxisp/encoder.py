@@ -14,7 +14,7 @@ ENCODER = "jpeg_tables"
 """The name of the node, whatever its stage: cameras and priors go by it."""
 _MOST = specs(JpegFile)["to_file"].bounds[1]
 _HELD = {True: (True, False), False: (False, True)}
-"""Whether colours are converted in 14 bits, the likelier first, of files with an ICC profile and of others."""
+"""Whether colours are converted in 14 bits, the likelier first, of files with an ICC profile and others."""
 _WRAP, _LARGEST = 8192, 2048
 """libjpeg-turbo holds 8 times a step in 16 bits, so that it divides by a step modulo the first. Steps above
 the second leave no coefficient in any case."""

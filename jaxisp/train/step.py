@@ -25,7 +25,7 @@ LOSSES: dict[str, Callable[[jax.Array], jax.Array]] = {
     "smooth_l1": lambda x: optax.losses.huber_loss(x, delta=1.0),
     "log_rms": log_rms,
 }
-"""Penalties of (N, H, W, C) differences by the names that `TrainConfig.loss` takes; their mean is the loss."""
+"""Penalties of (N, H, W, C) differences by the names in `TrainConfig.loss`; their mean is the loss."""
 
 
 class State(NamedTuple):
