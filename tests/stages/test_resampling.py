@@ -7,16 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.pipeline import signature
 from jaxisp.stages import resampling as stages
 from jaxisp.stages.resampling import Resampling, Rescaling, _there_and_back, _Way
 from jaxisp.testing import smooth_image
+from tests.jitted import jitted
 
-# compiled whole: each operation by itself takes ten times as long
-resampling, rescaling, resize = (
-    jax.jit(fn, static_argnames=tuple(name for name, _ in signature(fn).static))
-    for fn in (stages.resampling, stages.rescaling, stages.resize)
-)
+resampling, rescaling, resize = map(jitted, (stages.resampling, stages.rescaling, stages.resize))
 
 FILTERS = {
     "bilinear": Image.Resampling.BILINEAR,
