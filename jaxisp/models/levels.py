@@ -112,9 +112,11 @@ class LevelNet(nnx.Module):
     def objective(
         self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
     ) -> jax.Array:
-        """The loss: one in four pictures of a batch is denoised with its true map, the others with the estimate,
-        which is to be near the true one (in ratios) and nothing else: made to denoise well it becomes too small,
-        and the network blind to it."""
+        """The loss: one in four pictures of a batch is denoised with its true map, the others with the estimate.
+
+        The estimate is to be near the true map (in ratios) and nothing else: made to denoise well, it becomes
+        too small, and the network blind to it.
+        """
         true = measured_map(noisy, target)
         found = self.noise_map(noisy)
         given = (jnp.arange(len(noisy)) % 4 == 0)[:, None, None, None]
