@@ -107,6 +107,20 @@ class Node:
         return self.apply(*alike((params, image, key)))
 
 
+def require_node(node: Any, what: str) -> None:
+    """Raise TypeError, in words, where something else is given in the place of a stage or a pipeline."""
+    if isinstance(node, Node):
+        return
+    if isinstance(node, str):
+        advice = f"{node!r}: stage({node!r})?"
+    elif isinstance(getattr(node, "chain", None), Node):  # a recipe, which is above this module
+        advice = f"a {type(node).__name__}: give its .chain"
+    else:
+        advice = f"{node!r}, as stage(...) makes"
+    raise TypeError(f"{what} takes stages and pipelines, got {advice}")
+
+
+@dataclass(frozen=True, repr=False)
 class Around(Node):
     """A node around another, whose domains and stages are its own; it adds one entry to the parameters."""
 

@@ -62,6 +62,8 @@ class Recipe:
     """The prior that `dataclasses.replace` hands on: what a new prior leaves out keeps it."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.chain, Chain):
+            raise TypeError(f"Recipe takes a Chain((stage(...), ...), NAME), got {short(self.chain)}")
         default = self.chain.init()
         for name, own in self.prior.items():
             if name not in default:
@@ -216,6 +218,8 @@ class Recipe:
     def from_table(cls, table: dict[str, Any], source: str = "recipe") -> "Recipe":
         """Read a recipe that stands in a larger TOML file. Raises what `from_toml` does."""
         try:
+            if "mixture" in table:
+                raise InputError("a mixture is several recipes: jaxisp.recipes.load_degradation reads it")
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
                 raise InputError(

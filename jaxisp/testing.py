@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.checks import several
 from jaxisp.node import Stage, stage
 from jaxisp.params import map_specs, specs
 from jaxisp.pipeline import compiled, run, run_batch, sections, signature
@@ -99,13 +100,13 @@ class Subject:
 
 
 def check_stage(
-    subject: Stage | str | Callable[..., jax.Array], only: Sequence[str] | None = None
+    subject: Stage | str | Callable[..., jax.Array], only: str | Sequence[str] | None = None
 ) -> list[str]:
     """Put a stage through the contract that every stage of the library keeps.
 
     Args:
         subject: a stage, a registered name, or a stage function.
-        only: names of `CHECKS`; all of them unless given.
+        only: names of `CHECKS`, or one; all of them unless given.
 
     Returns:
         The names of the checks that it passed, which are all that were asked for.
@@ -119,7 +120,7 @@ def check_stage(
         ['declaration', 'no_retrace']
     """
     under_test = Subject(subject if isinstance(subject, Stage) else stage(subject))
-    names = list(CHECKS) if only is None else list(only)
+    names = list(CHECKS) if only is None else list(several(only))
     if unknown := [name for name in names if name not in CHECKS]:
         raise KeyError(f"no check named {unknown[0]!r}; there are {', '.join(CHECKS)}")
     for name in names:

@@ -15,6 +15,7 @@ from jaxisp.io.files import PathLike, parse_toml, read_text, short, write_text
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages.noise import ColumnNoise, GaussianNoise, HeavyTailedNoise, Prnu, RowNoise, ShotReadNoise
 
 FIGURES = {
@@ -245,7 +246,7 @@ def _noise(table: dict[str, Any]) -> Noise:
     )
 
 
-def with_noise(recipe: Recipe, noise: Noise) -> Recipe:
+def with_noise(recipe: RecipeLike, noise: Noise) -> Recipe:
     """The recipe with calibrated noise in the place of its own.
 
     All its stages of noise before demosaicking (or, without a mosaic, before encoding) go, with switches
@@ -254,6 +255,7 @@ def with_noise(recipe: Recipe, noise: Noise) -> Recipe:
     Raises:
         InputError: the recipe has no stage of noise in linear light.
     """
+    recipe = find_recipe(recipe)
     own = [s.name for s in _in_light(recipe.chain) if s.fn.__name__ in NOISE_STAGES]
     if not own:
         raise InputError(f"recipe {recipe.name!r} has no stage of noise in linear light to replace")

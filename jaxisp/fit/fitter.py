@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from jaxisp.checks import several
 from jaxisp.errors import InputError
 from jaxisp.fit import model
 from jaxisp.fit.curvature import Identified, standard_errors
@@ -34,6 +35,7 @@ from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
 from jaxisp.params import specs
 from jaxisp.pipeline import Params
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages import STAGES
 
 STEPS = 30
@@ -51,11 +53,11 @@ def fit_examples(
     demosaic: str = "auto",
     median: str = "auto",
     place: str = "camera",
-    start: Recipe | str | Path | None = None,
-    insert: Sequence[str] = (),
-    per_image: Sequence[str] = (),
-    freeze: Sequence[str] = (),
-    free: Sequence[str] = (),
+    start: RecipeLike | None = None,
+    insert: str | Sequence[str] = (),
+    per_image: str | Sequence[str] = (),
+    freeze: str | Sequence[str] = (),
+    free: str | Sequence[str] = (),
     starts: int = 1,
     hold_out: str = HOLD_OUT[0],
     journal: str | Path | None = None,
@@ -97,8 +99,8 @@ def fit_examples(
         InputError: no pair can be fitted, there is no such choice or parameter, another process has the
             journal, or processes that fit together see different pairs.
     """
-    names = tuple(per_image), tuple(freeze), tuple(free)
-    inserted = tuple(model.insertion(text) for text in insert)
+    names = several(per_image), several(freeze), several(free)
+    inserted = tuple(model.insertion(text) for text in several(insert))
     options = Options(steps, demosaic, median, place, *names, starts, inserted, _camera_text(start))
     _check(options)
     if hold_out not in HOLD_OUT:
@@ -140,10 +142,8 @@ def _fitted(
     return dataclasses.replace(result, scenes=found, seconds=time.perf_counter() - clock)
 
 
-def _camera_text(start: Recipe | str | Path | None) -> str:
-    if start is None:
-        return ""
-    return (start if isinstance(start, Recipe) else Recipe.load(start)).to_toml()
+def _camera_text(start: RecipeLike | None) -> str:
+    return "" if start is None else find_recipe(start).to_toml()
 
 
 def _loaded(given: Given) -> Example:

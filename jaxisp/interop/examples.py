@@ -8,7 +8,7 @@ from PIL import Image
 
 from jaxisp.errors import InputError
 from jaxisp.interop.process import MULTIPLE, Degrader
-from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike
 
 
 class DegradeExamples(Degrader):
@@ -17,7 +17,7 @@ class DegradeExamples(Degrader):
     The picture of row i depends on the seed and on i alone, whatever the batch size.
 
     Args:
-        recipe: takes and gives encoded sRGB.
+        recipe: as that of `IspModel`.
         image: the column of clean pictures: PIL pictures, or arrays of 8 bits or of floats in [0, 1].
         noisy: the column to write: PIL pictures of 8 bits.
         seed, multiple: as those of `IspModel`.
@@ -25,7 +25,7 @@ class DegradeExamples(Degrader):
 
     def __init__(
         self,
-        recipe: Recipe,
+        recipe: RecipeLike,
         *,
         image: str = "image",
         noisy: str = "noisy",
