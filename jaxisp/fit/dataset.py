@@ -14,6 +14,7 @@ from jaxisp.fit.pair import Example
 from jaxisp.fit.result import FitResult
 from jaxisp.fit.search import Tick
 from jaxisp.io import Jpeg, Pair, Raw, open_dataset
+from jaxisp.pipeline import Stage
 from jaxisp.recipes import RecipeLike
 
 
@@ -48,7 +49,7 @@ def fit_dataset(
     start: RecipeLike | None = None,
     freeze: str | Sequence[str] = (),
     free: str | Sequence[str] = (),
-    insert: str | Sequence[str] = (),
+    insert: str | Stage | Sequence[str | Stage] = (),
     per_image: str | Sequence[str] = (),
     noise: Calibrated | str | Path | None = None,
     steps: int = STEPS,

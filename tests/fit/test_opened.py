@@ -12,7 +12,7 @@ from jaxisp.fit import fit_examples, model, prior_from_cameras
 from jaxisp.pipeline import stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import phone
-from jaxisp.stages.balance import Saturation
+from jaxisp.stages.balance import HueRotation, Saturation
 from tests.fit.conftest import example
 
 HELD = ("tone", "colour", "bilateral", "unsharp_mask", "vignetting", "lateral_chromatic_aberration",
@@ -50,6 +50,42 @@ def test_a_camera_gives_its_choices_and_parameters():
     assert plain == {"demosaic": model.DEMOSAICKERS[0], "passes": 0, "median": None, "lens": False}
     with pytest.raises(InputError, match="no camera from `jaxisp fit`"):
         model.of_camera(phone())
+
+
+def test_a_start_brings_the_stages_that_were_inserted():
+    inserted = (
+        *map(model.insertion, ("hue_rotation", "black_level")),
+        model.insertion("highlight_rolloff@saturation"),
+    )
+    whole = model.camera("RGGB", model.Design(inserted=inserted))
+    meta = {"inserted": [node.name for node, _ in inserted]}
+    camera = Recipe(whole, {"hue_rotation": HueRotation(angle=20.0)}, meta=meta)
+    found = model.inserted_in(camera)
+    assert model.camera("RGGB", model.Design(inserted=found)) == whole and set(found) == set(inserted)
+    _, params = model.of_camera(camera, found)
+    assert float(params["hue_rotation"].angle) == 20 and "highlight_rolloff" in params
+    with pytest.raises(InputError, match="no RAW"):  # all names are known
+        fit_examples([], start=camera, freeze="hue_rotation", per_image="highlight_rolloff.white")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"freeze": "bilatral"}, "is it bilateral"),
+        ({"freeze": [3]}, "no fitted parameter is named 3; there are tone, colour, "),
+        ({"freeze": "tone", "per_image": ["s_curve"]}, r"at once: s_curve.midpoint, s_curve.strength"),
+        ({"start": "phone"}, "'phone' is no camera from `jaxisp fit`"),
+        ({"insert": "clip"}, "clip is in the camera already"),
+        ({"insert": ["hue_rotation", "hue_rotation"]}, "one stage twice"),
+        ({"insert": [3]}, "names of stages, or stages, got 3"),
+        ({"insert": stage("median")}, "median reads other pixels.*; there are .*hue_rotation"),
+        ({"demosaic": "demosaic_adh"}, "no demosaicker; is it .*demosaic_ahd"),
+    ],
+    ids=str,
+)
+def test_wrong_options_are_refused_before_a_fit(options, words):
+    with pytest.raises(InputError, match=words):
+        fit_examples([], **options)
 
 
 @pytest.mark.parametrize(
