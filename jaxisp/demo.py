@@ -150,10 +150,10 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
         "most denoisers are trained on; the phone's is what they meet.",
     )
     pictures = np.stack([_encoded(p) for p in photographs])
+    clean = np.stack([_crop(p) for p in pictures])
     for name in SHOWN_RECIPES:
         figures = [
-            (f"{name}, {float(psnr(noisy, clean)):.1f} dB", noisy)
-            for noisy, clean in zip(_degraded(name, pictures, seed), map(_crop, pictures))
+            (f"{name}, {float(psnr(n, c)):.1f} dB", n) for n, c in zip(_degraded(name, pictures, seed), clean)
         ]
         page.figures(figures, magnify=3)
     sources = output_folder(out / "clean")
@@ -162,11 +162,11 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
     return degrade_files([sources], out / "degraded", RECIPES["phone"](), seed=seed).as_dict()
 
 
-def _degraded(name: str, pictures: np.ndarray, seed: int) -> list[np.ndarray]:
-    """Crops of degraded pictures, by the program that `degrade_files` compiles for pictures like these."""
+def _degraded(name: str, pictures: np.ndarray, seed: int) -> np.ndarray:
+    """(N, PATCH, PATCH, 3) crops of degraded pictures, by the program that `degrade_files` compiles for them."""
     indices = np.arange(len(pictures), dtype=np.int32)
     noisy = RECIPES[name]().degrade(jax.random.key(seed), pictures, indices)[0]
-    return [_crop(picture) for picture in np.asarray(noisy)]
+    return np.stack([_crop(picture) for picture in np.asarray(noisy)])
 
 
 def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, seed: int) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, see
     result = train(config, out / "run")
     denoiser, _ = load_denoiser(out / "run", "last")
     pictures = np.stack([_encoded(p) for p in photographs])
-    clean, noisy = [_crop(p) for p in pictures], _degraded("phone", pictures, seed + 1)
+    clean, noisy = np.stack([_crop(p) for p in pictures]), _degraded("phone", pictures, seed + 1)
     page.heading(
         "A denoiser trained on such patches",
         f"{steps} steps of {config.batch} patches, degraded with new parameters at each step: enough to see "
