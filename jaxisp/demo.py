@@ -163,7 +163,7 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
 
 
 def _degraded(name: str, pictures: np.ndarray, seed: int) -> np.ndarray:
-    """(N, PATCH, PATCH, 3) crops of degraded pictures, by the program that `degrade_files` compiles for them."""
+    """(N, PATCH, PATCH, 3) crops of degraded pictures; `degrade_files` runs the same program."""
     indices = np.arange(len(pictures), dtype=np.int32)
     noisy = RECIPES[name]().degrade(jax.random.key(seed), pictures, indices)[0]
     return np.stack([_crop(picture) for picture in np.asarray(noisy)])
