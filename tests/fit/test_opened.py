@@ -1,6 +1,8 @@
 """A fit that starts from a camera, holds parameters and fits a stage of the user's own."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import fit_examples, model, prior_from_cameras
+from jaxisp.fit.sharing import GROUPS
 from jaxisp.pipeline import stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import phone
@@ -112,3 +115,12 @@ def test_help_says_how_files_are_named(capsys):
         main(["fit", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     assert "NAME.dng" in text and "dataset.toml" in text and "--freeze NAMES" in text
+
+
+def test_the_page_names_what_can_be_frozen_and_inserted():
+    rows = (Path(__file__).parents[2] / "docs" / "fitting.md").read_text().splitlines()
+    frozen, inserted = (next(r for r in rows if r.startswith(f"| `--{o}`")) for o in ("freeze", "insert"))
+    named = set(re.findall(r"`(\w+)`", inserted.split("|")[2])) - {"highlight_rolloff@saturation"}
+    assert named == set(model.insertable())
+    hidden = {"denoise_encoding", "denoise_decoding"}  # of the method
+    assert set(re.findall(r"`(\w+)`", frozen.split("|")[2])) == {*model.start(), *GROUPS} - hidden
