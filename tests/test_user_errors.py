@@ -177,7 +177,7 @@ def test_the_range_of_a_batch(place):
 @pytest.mark.parametrize(
     ("images", "advice"),
     [
-        (IMAGES[0], r"\(16, 16, 3\): give one picture as image\[None\]"),
+        (IMAGES[0], r"\(16, 18, 3\): give one picture as image\[None\]"),
         (np.moveaxis(IMAGES, -1, 1), "move the channels last"),
         (np.uint8(255 * IMAGES), "divide 8 bits by 255"),
         (IMAGES.tolist(), r"got list$"),
