@@ -16,6 +16,7 @@ from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
+from jaxisp.shown import brief
 from jaxisp.stages.noise import ColumnNoise, GaussianNoise, HeavyTailedNoise, Prnu, RowNoise, ShotReadNoise
 
 FIGURES = {
@@ -53,7 +54,7 @@ class Figure(NamedTuple):
     error: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Noise:
     """The noise at one ISO number.
 
@@ -68,6 +69,8 @@ class Noise:
         points: level, temporal and spatial variance of blocks, for plots; not in the file.
         profiles: of rows and columns in the dark, for plots; not in the file.
     """
+
+    __repr__ = brief
 
     iso: float | None
     figures: Mapping[str, Figure]
@@ -132,7 +135,7 @@ def _within(kind: type, field: str, value: float) -> np.float32:
     return np.float32(min(max(value, low), high))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Calibrated:
     """The noise of a camera by ISO number, ascending.
 
@@ -141,6 +144,8 @@ class Calibrated:
         noise: one entry an ISO number.
         notes: what to know about the frames.
     """
+
+    __repr__ = brief
 
     camera: str
     noise: tuple[Noise, ...]

@@ -30,13 +30,18 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_degradation, find_recipe
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Diagnosis:
     """What was found. `report` is report.json; `pictures` shows one held-out pair, and how what is left in
     all of them is spread over frequencies and neighbours."""
 
     report: dict[str, Any]
     pictures: dict[str, Any] = dataclasses.field(repr=False)
+
+    def __repr__(self) -> str:
+        gap, causes = self.report["gap"], ", ".join(self.causes) or "no cause"
+        sizes = f"gap {gap['before']:.3g}, then {gap['after']:.3g}, floor {gap['floor']:.3g}"
+        return f"Diagnosis: {self.verdict}, {causes}; {sizes}"
 
     @property
     def verdict(self) -> str:

@@ -21,6 +21,7 @@ from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, check_runs
 from jaxisp.models import count_parameters, load_weights, make_model
 from jaxisp.recipes import RecipeLike, find_degradation
+from jaxisp.shown import brief
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread, spread_pairs
@@ -37,7 +38,7 @@ Metrics = Callable[[int, dict[str, float]], Any]
 """`metrics(step, values)`: how a step or a validation went, for a logger of the user's own."""
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(repr=False)
 class TrainResult:
     """What a run came to.
 
@@ -51,6 +52,8 @@ class TrainResult:
         skipped: (file, reason) of photographs that could not be used.
         state: after the last step.
     """
+
+    __repr__ = brief
 
     run: Path
     step: int
