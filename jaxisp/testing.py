@@ -150,24 +150,22 @@ def _declaration(subject: Subject) -> None:
 def _total(subject: Subject) -> None:
     """Finite float32 for every finite input: black, white, above 1, negative, parameters on their bounds."""
     node = subject.node
-    for share in (None, 0.0, 1.0):
-        for image in _extremes(subject):
+    for share, where in _PLACES.items():
+        for what, image in _extremes(subject).items():
             out = run(node, subject.params(share), image, jax.random.key(0))
             _require(out.dtype == jnp.float32, f"{node.name}: {out.dtype} comes of float32")
-            _require(np.isfinite(out).all(), f"{node.name}: not finite, parameters at {share} of their range")
+            _require(np.isfinite(out).all(), f"{node.name}: not finite on {what}, {where}")
             wanted = {1: 2, 3: 3, None: image.ndim}[node.domain_out.channels]
             _require(out.ndim == wanted, f"{node.name}: {out.shape} is not {node.domain_out.name}")
 
 
 def _gradient_is_finite(subject: Subject) -> None:
     """Finite gradients for the same inputs."""
-    for share in (None, 0.0, 1.0):
-        for image in _extremes(subject):
+    for share, where in _PLACES.items():
+        for what, image in _extremes(subject).items():
             found = subject.gradient(subject.params(share), image, subject.weights, jax.random.key(0))[1]
             finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
-            _require(
-                finite, f"{subject.node.name}: gradient not finite, parameters at {share} of their range"
-            )
+            _require(finite, f"{subject.node.name}: gradient not finite on {what}, {where}")
 
 
 def _products_are_precise(subject: Subject) -> None:
@@ -339,9 +337,21 @@ def imprecise_products(program: Any) -> list[str]:
     return found
 
 
-def _extremes(subject: Subject) -> list[np.ndarray]:
+_PLACES = {
+    None: "parameters within their ranges",
+    0.0: "parameters at their lower bounds",
+    1.0: "parameters at their upper bounds",
+}
+
+
+def _extremes(subject: Subject) -> dict[str, np.ndarray]:
     ordinary = subject.image()
-    return [ordinary, np.zeros_like(ordinary), np.ones_like(ordinary), 4 * ordinary - 1]
+    return {
+        "a smooth picture": ordinary,
+        "black": np.zeros_like(ordinary),
+        "white": np.ones_like(ordinary),
+        "levels from -1 to 3": 4 * ordinary - 1,
+    }
 
 
 def _require(condition: Any, text: str) -> None:

@@ -35,14 +35,18 @@ class DegradeExamples(Degrader):
         super().__init__(recipe, seed, multiple)
         self.image, self.noisy = image, noisy
 
-    def __call__(self, examples: dict[str, list[Any]], indices: list[int]) -> dict[str, list[Image.Image]]:
+    def __call__(
+        self, examples: dict[str, list[Any]], indices: list[int] | None = None
+    ) -> dict[str, list[Image.Image]]:
         """The noisy column of some rows.
 
         Raises:
-            InputError: no such column, or a row that holds no picture.
+            InputError: no such column, a row that holds no picture, or it was mapped otherwise than above.
         """
         if self.image not in examples:
             raise InputError(f"the data set has no column {self.image!r}; it has {sorted(examples)}")
+        if not isinstance(examples[self.image], list) or not isinstance(indices, list):
+            raise InputError("give map(..., batched=True, with_indices=True): what is drawn goes by the row")
         pictures = [_floats(p, self.image, i) for p, i in zip(examples[self.image], indices)]
         out: list[Any] = [None] * len(pictures)
         for shape in dict.fromkeys(p.shape for p in pictures):

@@ -61,7 +61,7 @@ class Degrader:
         if os.getpid() != _PROCESS:
             raise InputError(
                 "this process was forked from one that has JAX, where a recipe may hang: start workers with "
-                "multiprocessing_context='spawn', or degrade in the main process"
+                "multiprocessing_context='spawn', or degrade in the main process (without num_proc)"
             )
         return jax.random.fold_in(jax.random.key(self.seed), stream)
 

@@ -101,6 +101,14 @@ class Pairs(torch.utils.data.Dataset):
         return self.model.forward(clean.copy(), clean)
 
 
+@pytest.mark.filterwarnings("ignore:.*fork.*")
+def test_a_forked_worker_of_a_loader_is_refused_in_words():
+    options = {"num_workers": 1, "multiprocessing_context": "fork", "timeout": 60}
+    batches = torch.utils.data.DataLoader(Pairs(IspModel("awgn")), **options)
+    with pytest.raises(InputError, match="multiprocessing_context='spawn'"):
+        next(iter(batches))
+
+
 @pytest.mark.slow
 def test_isp_model_in_spawned_workers_has_a_stream_each():
     batches = torch.utils.data.DataLoader(
