@@ -11,22 +11,26 @@ from PIL import Image
 
 from jaxisp import stage
 from jaxisp.catalogue import group_of
-from jaxisp.data.procedural import KINDS, drawn
+from jaxisp.data.procedural import drawn
 from jaxisp.domains import CAMERA, ENCODED, LINEAR, MOSAIC, Domain
 from jaxisp.explore import for_screen, in_domain
 from jaxisp.pipeline import Stage, run
 
 SIDE, GAP = 96, 4  # of a picture, and between two [px]
+SEEDS = {"leaves": 12, "text": 10, "stripes": 8, "gradients": 1}  # of the scene's quarters
 NOISE = 0.06  # standard deviation before stages that take noise away
 SETTINGS: dict[str, dict[str, Any]] = {
     "adc_quantization": {"bits": 4.0},
     "affine_exposure": {"gain": 1.6, "offset": -0.05},
+    "balanced_noise": {"read": 0.05},
     "black_level": {"offset": 0.08},
     "chroma_denoising": {"shares": (0, 0, 0, 0, 0, 0, 1.0)},
     "clip": {"white": 0.5},
     "color_magnification": {"red_scale": 1.03, "blue_scale": 0.97},
     "color_matrix": {"matrix": ((1.6, -0.5, -0.1), (-0.3, 1.6, -0.3), (0.0, -0.6, 1.6))},
     "color_shading": {"red_a2": -0.8, "blue_a2": 0.8},
+    "column_noise": {"std": 0.04},
+    "correlated_noise": {"std": 0.06},
     "crosstalk": {"horizontal": 0.15, "vertical": 0.15},
     "dead_pixels": {"density": 0.02},
     "defocus": {"disc_radius": 3.0},
@@ -35,6 +39,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "geometric_distortion": {"k1": -0.2},
     "gray18_gamma": {"gamma": 0.6},
     "green_imbalance": {"difference": 0.2},
+    "heavy_tailed_noise": {"std": 0.05},
     "hot_pixels": {"density": 0.02},
     "hue_rotation": {"angle": 90.0},
     "jpeg": {"quality": 15.0},
@@ -47,11 +52,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "motion_blur": {"lengths": (5.0, 4.0, 5.0), "directions": (20.0, -40.0, 70.0)},
     "prnu": {"std": 0.1},
     "radial_warp": {"k1": 0.2},
-    "rectilinear_warp": {"radial": ((1.0, 0.25, 0, 0),) * 3},
+    "rectilinear_warp": {"radial": ((0.0, 0.15, 0, 0),) * 3},
     "rounding": {"bits": 3},
+    "row_noise": {"std": 0.04},
     "saturation": {"amount": 2.0},
     "selective_color": {"hue": (0.8,) * 12, "saturation": (0.5,) * 12},
     "sharpening": {"amounts": (1.5, 0.5, 0.5)},
+    "shot_read_noise": {"shot": 0.005, "read": 0.02},
     "spline_curve": {"offsets": (0.2, 0.25, 0.3, 0.3, 0.25, 0.2, 0.15, 0.1, 0.1, 0.05, 0.05, 0.0)},
     "veiling_glare": {"share": 0.3},
     "vignetting": {"a2": -0.8},
@@ -64,7 +71,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 def scene() -> np.ndarray:
     """(SIDE, SIDE, 3) encoded sRGB: a quarter each of shapes, text, stripes and soft light."""
-    parts = [drawn(kind, 3, SIDE // 2) for kind in KINDS]
+    parts = [drawn(kind, seed, SIDE // 2) for kind, seed in SEEDS.items()]
     return np.concatenate([np.concatenate(parts[:2], 1), np.concatenate(parts[2:], 1)])
 
 

@@ -108,7 +108,7 @@ def _add_stages(page: Page, picture: np.ndarray, recipe: Recipe, seed: int) -> N
     """One crop of the photograph after each stage of a recipe, encoded for the screen."""
     page.heading(
         "One photograph, stage by stage",
-        f"A {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. "
+        f"An {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. "
         "A mosaic is shown with each photosite in its own colour.",
     )
     key = jax.random.key(seed)
