@@ -17,6 +17,7 @@ from typing import Any
 import jupytext
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 ROOT = Path(__file__).parent.parent
@@ -88,8 +89,12 @@ def stages(pictures: Path | None = None) -> Iterator[str]:
 def _picture(name: str, folder: Path) -> str:
     from stage_pictures import compiled_quickly, write
 
-    with compiled_quickly():
-        caption = write(name, folder / f"{name}.png")
+    try:
+        with compiled_quickly():
+            caption = write(name, folder / f"{name}.png")
+    except ValueError as error:  # the others are told too
+        logging.getLogger(__name__).warning(str(error))
+        return ""
     text = f"Before and after{': ' * bool(caption)}{caption}"
     return (
         f'```{{raw}} html\n<figure class="stage"><img alt="{name}, before and after" loading="lazy" '

@@ -19,6 +19,8 @@ from jaxisp.pipeline import Stage, run
 SIDE, GAP = 96, 4  # of a picture, and between two [px]
 SEEDS = {"leaves": 12, "text": 10, "stripes": 8, "gradients": 1}  # of the scene's quarters
 NOISE = 0.06  # standard deviation before stages that take noise away
+TINT = 0.9, 0.75, 0.45  # of the scene before stages that balance or stretch it
+BALANCING = "auto_level", "gray_world", "white_patch"
 SETTINGS: dict[str, dict[str, Any]] = {
     "adc_quantization": {"bits": 4.0},
     "affine_exposure": {"gain": 1.6, "offset": -0.05},
@@ -97,6 +99,9 @@ def before_and_after(name: str) -> tuple[np.ndarray, np.ndarray, str]:
     if group_of(name) == "denoise":
         image = image + NOISE * jax.random.normal(jax.random.key(1), image.shape)
         notes.append("the scene has noise")
+    if name in BALANCING:
+        image = image * np.float32(TINT)
+        notes.append("the scene has a tint")
     if name == "defect_correction":
         defects, values, _ = setting("hot_pixels")
         image = run(defects, values, image, jax.random.key(1))
