@@ -17,10 +17,13 @@ from typing import Any
 import jupytext
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 ROOT = Path(__file__).parent.parent
 EXECUTED = ROOT / "build" / "notebooks"
+PICTURES = "_images/stages"
+"""Where in the site the pictures of the stages are."""
 FAMILIES = {
     "Light and lens": ("optics",),
     "Blur": ("blur",),
@@ -55,7 +58,8 @@ def table(headers: list[str], rows: list[list[Any]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in cells) + "\n"
 
 
-def stages() -> Iterator[str]:
+def stages(pictures: Path | None = None) -> Iterator[str]:
+    """Every stage, family by family; with a picture where there is a folder for them."""
     from jaxisp.catalogue import describe_stages
     from jaxisp.stages import STAGES
 
@@ -78,6 +82,24 @@ def stages() -> Iterator[str]:
         yield f"## {title}\n"
         for name in names:
             yield from _stage(known[name], STAGES[name])
+            if pictures is not None:
+                yield _picture(name, pictures)
+
+
+def _picture(name: str, folder: Path) -> str:
+    from stage_pictures import compiled_quickly, write
+
+    try:
+        with compiled_quickly():
+            caption = write(name, folder / f"{name}.png")
+    except ValueError as error:  # the others are told too
+        logging.getLogger(__name__).warning(str(error))
+        return ""
+    text = f"Before and after{': ' * bool(caption)}{caption}"
+    return (
+        f'```{{raw}} html\n<figure class="stage"><img alt="{name}, before and after" loading="lazy" '
+        f'src="../{PICTURES}/{name}.png"><figcaption>{text}</figcaption></figure>\n```\n'
+    )
 
 
 def _stage(row: dict[str, Any], fn: Any) -> Iterator[str]:
@@ -256,7 +278,10 @@ class Generated(SphinxDirective):
         if kind == "notebook":
             self.env.note_dependency(str(ROOT / "notebooks" / f"{arguments[0]}.py"))
         with contextlib.chdir(ROOT):
-            text = "\n".join(makers[kind](*arguments))
+            if kind == "stages" and self.env.app.builder.format == "html" and self.config.stage_pictures:
+                text = "\n".join(stages(Path(self.env.app.outdir) / PICTURES))
+            else:
+                text = "\n".join(makers[kind](*arguments))
         return self.parse_text_to_nodes(text, allow_section_headings=True)
 
 
@@ -271,5 +296,6 @@ def as_rest(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("generated", Generated)
+    app.add_config_value("stage_pictures", True, "env", bool)
     app.connect("autodoc-process-docstring", as_rest, priority=100)  # before napoleon
     return {"parallel_read_safe": True, "version": "1"}

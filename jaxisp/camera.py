@@ -14,10 +14,11 @@ import numpy as np
 from jaxisp.cfa import is_xtrans, size
 from jaxisp.errors import InputError
 from jaxisp.io import Raw, orient
-from jaxisp.phase import AnyPhase
-from jaxisp.pipeline import Chain, Gate, Node, Row, Stage, run_in_strips, signature, stage
+from jaxisp.node import Around
+from jaxisp.pipeline import Chain, Node, Row, Stage, run_in_strips, signature, stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe, check_traces
+from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.sensor import Clip
@@ -57,7 +58,7 @@ def with_cfa(node: Node, cfa: str) -> Node:
         if "cfa" not in dict(signature(node.fn).static):
             return node
         return stage(node.fn, name=node.name, **{**options, "cfa": cfa})
-    if isinstance(node, Gate | AnyPhase):
+    if isinstance(node, Around):
         return dataclasses.replace(node, node=with_cfa(node.node, cfa))
     assert isinstance(node, Row)
     return dataclasses.replace(node, nodes=tuple(with_cfa(n, cfa) for n in node.nodes))
@@ -68,8 +69,9 @@ def shaded_mosaic(raw: Raw) -> np.ndarray:
     return raw.mosaic if raw.shading is None else raw.mosaic * raw.shading
 
 
-def params_for(camera: Recipe, raw: Raw) -> dict[str, Any]:
+def params_for(camera: RecipeLike, raw: Raw) -> dict[str, Any]:
     """The camera's parameters, with what the file states itself set from the file."""
+    camera = find_recipe(camera)
     params = dict(camera.prior)
     from_file = camera.meta.get("from_file", [])
     if WHITE_BALANCE in from_file:
@@ -109,7 +111,7 @@ def high_percentile(plane: np.ndarray, percent: float) -> float:
     return float(below + part * (above - below))
 
 
-def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None) -> np.ndarray:
+def develop(raw: Raw, camera: RecipeLike | None = None, key: jax.Array | None = None) -> np.ndarray:
     """Render a RAW file. The lens shading that it states is corrected; what it states of distortion is not.
     Pixels that are not square are made so.
 
@@ -117,8 +119,8 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
 
     Args:
         raw: what `jaxisp.io.read_raw` read.
-        camera: a pipeline from a mosaic to encoded sRGB; `standard_camera()` unless given, which demosaicks
-            X-Trans after Markesteijn.
+        camera: a pipeline from a mosaic to encoded sRGB, as a recipe, a chain or a TOML file;
+            `standard_camera()` unless given, which demosaicks X-Trans after Markesteijn.
         key: for a camera that draws noise.
 
     Returns:
@@ -129,7 +131,9 @@ def develop(raw: Raw, camera: Recipe | None = None, key: jax.Array | None = None
             not work on this pattern.
     """
     xtrans = is_xtrans(raw.cfa)
-    camera = camera or standard_camera("demosaic_markesteijn" if xtrans else "demosaic_ahd")
+    if camera is None:
+        camera = standard_camera("demosaic_markesteijn" if xtrans else "demosaic_ahd")
+    camera = find_recipe(camera)
     try:
         chain = with_cfa(camera.chain, raw.cfa)
     except InputError as error:

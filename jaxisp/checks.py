@@ -1,5 +1,7 @@
 """Checks on the host: values within their bounds, finite arrays."""
 
+import os
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -8,6 +10,12 @@ import numpy as np
 
 from jaxisp.errors import InputError as InputError
 from jaxisp.params import Spec, specs
+
+
+def several(given: Any) -> tuple[Any, ...]:
+    """What may be given alone as one of several: a text is one name, and not its letters."""
+    alone = isinstance(given, str | os.PathLike) or not isinstance(given, Iterable)
+    return (given,) if alone else tuple(given)
 
 
 def check_finite(name: str, array: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from jaxisp.stages.transfer import srgb_oetf
 from jaxisp.train import TrainConfig, load_denoiser, train
 
 PATCH = 80
-SIZE = 256
+SIZE = 192
 PHONE = PHONES["a"]
 SHOWN_RECIPES = ("awgn", "amwgn", "phone")
 
@@ -73,7 +73,7 @@ def _run(folder: Path, seed: int, steps: int, training: int, tick: Tick) -> dict
     photographs = list(scenes(SIZE))
     tick(1, 7, "taking pictures with the reference phone")
     pairs = output_folder(folder / "pairs")
-    write_pairs(pairs, PHONE, dict(zip(scene_names()[:2], photographs)), seed)
+    write_pairs(pairs, PHONE, dict(zip(scene_names(), photographs)), seed)
     tick(2, 7, "fitting the camera")
     result = fit_dataset(pairs, steps=steps)
     result.camera.save(folder / "camera.toml")
@@ -108,7 +108,7 @@ def _add_stages(page: Page, picture: np.ndarray, recipe: Recipe, seed: int) -> N
     """One crop of the photograph after each stage of a recipe, encoded for the screen."""
     page.heading(
         "One photograph, stage by stage",
-        f"A {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. "
+        f"An {PATCH}x{PATCH} crop through the recipe '{recipe.name}', with one draw of its parameters. "
         "A mosaic is shown with each photosite in its own colour.",
     )
     key = jax.random.key(seed)
@@ -149,16 +149,24 @@ def _degrade(page: Page, out: Path, photographs: list[np.ndarray], seed: int) ->
         "Each patch has its own draw of noise, denoising, sharpening and JPEG level. White noise is what "
         "most denoisers are trained on; the phone's is what they meet.",
     )
-    pictures = [_encoded(p) for p in photographs]
-    patches = np.stack([_crop(p) for p in pictures])
+    pictures = np.stack([_encoded(p) for p in photographs])
+    clean = np.stack([_crop(p) for p in pictures])
     for name in SHOWN_RECIPES:
-        noisy, clean, _ = RECIPES[name]().degrade(jax.random.key(seed), patches)
-        figures = [(f"{name}, {float(psnr(n, c)):.1f} dB", np.asarray(n)) for n, c in zip(noisy, clean)]
-        page.figures(figures[:5], magnify=3)
+        figures = [
+            (f"{name}, {float(psnr(n, c)):.1f} dB", n) for n, c in zip(_degraded(name, pictures, seed), clean)
+        ]
+        page.figures(figures, magnify=3)
     sources = output_folder(out / "clean")
     for name, picture in zip(scene_names(), pictures):
         write_png(sources / f"{name}.png", picture)
-    return degrade_files([sources], out / "degraded", RECIPES["phone"](), count=2, seed=seed).as_dict()
+    return degrade_files([sources], out / "degraded", RECIPES["phone"](), seed=seed).as_dict()
+
+
+def _degraded(name: str, pictures: np.ndarray, seed: int) -> np.ndarray:
+    """(N, PATCH, PATCH, 3) crops of degraded pictures; `degrade_files` runs the same program."""
+    indices = np.arange(len(pictures), dtype=np.int32)
+    noisy = RECIPES[name]().degrade(jax.random.key(seed), pictures, indices)[0]
+    return np.stack([_crop(picture) for picture in np.asarray(noisy)])
 
 
 def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, seed: int) -> dict[str, Any]:
@@ -170,8 +178,8 @@ def _train(page: Page, out: Path, photographs: list[np.ndarray], steps: int, see
     )  # fmt: skip
     result = train(config, out / "run")
     denoiser, _ = load_denoiser(out / "run", "last")
-    clean = np.stack([_crop(_encoded(p)) for p in photographs])
-    noisy = np.asarray(RECIPES["phone"]().degrade(jax.random.key(seed + 1), clean)[0])
+    pictures = np.stack([_encoded(p) for p in photographs])
+    clean, noisy = np.stack([_crop(p) for p in pictures]), _degraded("phone", pictures, seed + 1)
     page.heading(
         "A denoiser trained on such patches",
         f"{steps} steps of {config.batch} patches, degraded with new parameters at each step: enough to see "

@@ -27,7 +27,7 @@ from jaxisp.domains import (
     YCC,
     Domain,
 )
-from jaxisp.node import Node, Params, stage
+from jaxisp.node import Node, Params, require_node, stage
 from jaxisp.params import Spec, specs
 from jaxisp.stages import STAGES
 from jaxisp.stages.sensor import mosaic
@@ -133,6 +133,7 @@ class Explorer:
     def __init__(
         self, node: Node, picture: Any, *, params: Params | None = None, cfa: str = "RGGB", width: int = 420
     ) -> None:
+        require_node(node, "Explorer")
         widgets = _widgets()
         self.node, self.cfa = node, cfa
         self.params: Params = dict(node.init() if params is None else params)
@@ -218,6 +219,7 @@ def picture_after(
     Returns:
         (H, W, 3) float32 encoded sRGB in [0, 1].
     """
+    require_node(node, "picture_after")
     given = in_domain(picture, node.domain_in, cfa)
     return np.asarray(
         _shown(node, cfa, node.init() if params is None else params, given, jax.random.key(seed))

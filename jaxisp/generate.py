@@ -31,6 +31,7 @@ from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, Mixture, check_runs
 from jaxisp.process.memory import forget_beyond
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_degradation
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
@@ -88,14 +89,14 @@ class Work:
 
     Args:
         inputs: images and folders of images.
-        recipe: takes and gives encoded sRGB; or a mixture of such.
+        recipe: takes and gives encoded sRGB: a recipe, a mixture, a chain, a name, or a TOML file.
         count: versions of each image.
         seed: of the root key.
         start: the global index of sample 0.
     """
 
     inputs: Sequence[str | Path]
-    recipe: Degradation
+    recipe: RecipeLike
     count: int = 1
     seed: int = 0
     start: int = 0
@@ -104,7 +105,7 @@ class Work:
     _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        check_runs(self.recipe)
+        check_runs(self.degradation)
         object.__setattr__(self, "paths", find_images(self.inputs))
         if not 0 <= self.start <= (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
@@ -113,9 +114,14 @@ class Work:
         return len(self.paths) * self.count
 
     @functools.cached_property
+    def degradation(self) -> Degradation:
+        """The recipe or mixture that `recipe` stands for."""
+        return find_degradation(self.recipe)
+
+    @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the recipe's TOML."""
-        return hashlib.sha256(self.recipe.to_toml().encode()).hexdigest()
+        return hashlib.sha256(self.degradation.to_toml().encode()).hexdigest()
 
     @functools.cached_property
     def inputs_real(self) -> frozenset[str]:
@@ -138,7 +144,7 @@ class Work:
         for batch in self._batches(which, outcome, done):
             forget_beyond(self._sizes, (len(batch), batch[0][1].shape))
             indices = np.asarray([sample.index for sample, _ in batch], np.int32)
-            noisy, _, params = self.recipe.degrade(key, np.stack([image for _, image in batch]), indices)
+            noisy, _, params = self.degradation.degrade(key, np.stack([image for _, image in batch]), indices)
             if before is not None:
                 yield from self._fetch(*before)
             before = batch, noisy, params
@@ -162,7 +168,7 @@ class Work:
 
     def _drawn(self, sample: Sample, params: dict[str, Any]) -> Recipe:
         note = {"sample": self.note(sample)}
-        recipe = self.recipe
+        recipe = self.degradation
         if isinstance(recipe, Mixture):
             recipe, params = recipe.drawn(params)
         return Recipe(recipe.chain, params, f"the parameters drawn for {sample.stem}", note)
@@ -172,7 +178,7 @@ class Work:
         return {
             "source": sample.path.name,
             "source_sha256": self.digest_of(sample.path),
-            "recipe": self.recipe.name,
+            "recipe": self.degradation.name,
             "recipe_sha256": self.digest,
             "seed": self.seed,
             "index": sample.index,
@@ -236,7 +242,7 @@ def _is_sound(path: Path) -> bool:
 def degrade_files(
     inputs: Sequence[str | Path],
     out: str | Path,
-    recipe: Degradation,
+    recipe: RecipeLike,
     *,
     count: int = 1,
     seed: int = 0,
@@ -252,7 +258,7 @@ def degrade_files(
     Args:
         inputs: images and folders of images.
         out: the folder, made where it is missing.
-        recipe: takes and gives encoded sRGB.
+        recipe: as that of `Work`.
         count: versions of each image; version j of input i has the index start + i * count + j.
         seed: of the root key.
         start: index of the first version.
@@ -269,7 +275,7 @@ def degrade_files(
     """
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
-    about = tomli_w.dumps({"camera": f"{_CAMERA}{recipe.name}", "clean_encoding": "srgb"})
+    about = tomli_w.dumps({"camera": f"{_CAMERA}{work.degradation.name}", "clean_encoding": "srgb"})
     check_new(out / "dataset.toml", about, _is_ours)
     with locked(out):
 

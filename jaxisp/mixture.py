@@ -18,6 +18,7 @@ import tomli_w
 from jax import lax
 from jax.typing import ArrayLike
 
+from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.arrays.varying import alike, spread_over
 from jaxisp.errors import InputError
@@ -72,6 +73,9 @@ class Mixture:
 
     def __repr__(self) -> str:
         return f"mix({dict(zip(self.recipes, self.shares))})"
+
+    def _repr_html_(self) -> str:
+        return shown.mixture_html(self)
 
     @property
     def name(self) -> str:

@@ -107,6 +107,20 @@ class Node:
         return self.apply(*alike((params, image, key)))
 
 
+def require_node(node: Any, what: str) -> None:
+    """Raise TypeError, in words, where something else is given in the place of a stage or a pipeline."""
+    if isinstance(node, Node):
+        return
+    if isinstance(node, str):
+        advice = f"{node!r}: stage({node!r})?"
+    elif isinstance(getattr(node, "chain", None), Node):  # a recipe, which is above this module
+        advice = f"a {type(node).__name__}: give its .chain"
+    else:
+        advice = f"{node!r}, as stage(...) makes"
+    raise TypeError(f"{what} takes stages and pipelines, got {advice}")
+
+
+@dataclass(frozen=True, repr=False)
 class Around(Node):
     """A node around another, whose domains and stages are its own; it adds one entry to the parameters."""
 
@@ -222,8 +236,8 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
         **static: its static options; lists and arrays become nested tuples.
 
     Raises:
-        KeyError: no stage of that name. TypeError: no such option. InputError: an option of another type, or
-            not within its limits.
+        KeyError: no stage of that name. TypeError: no function, no such option. InputError: an option of
+            another type, or not within its limits.
 
     Example:
         >>> import jaxisp
@@ -233,6 +247,11 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
     """
     if isinstance(fn, str):
         fn = find_stage(fn)
+    if isinstance(fn, Node) or not callable(fn):
+        got = (
+            f"{type(fn).__name__} {fn.name!r}, which is a node already" if isinstance(fn, Node) else repr(fn)
+        )
+        raise TypeError(f"stage takes a stage function or a registered name, got {got}")
     known = dict(signature(fn).static)
     given = {n: _frozen(v) for n, v in sorted(static.items())}
     Stage(fn, name or fn.__name__, tuple(given.items()))  # checks them, those that equal the default too

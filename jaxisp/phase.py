@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.node import Around, Node, Params, entry
+from jaxisp.node import Around, Node, Params, entry, require_node
 from jaxisp.params import Leaf, param, parameters
 
 
@@ -36,8 +36,7 @@ class AnyPhase(Around):
     name: str = "cfa_phase"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.node, Node):
-            raise TypeError(f"AnyPhase takes a stage or a pipeline, got {self.node!r}")
+        require_node(self.node, "AnyPhase")
         channels = self.node.domain_in.channels, self.node.domain_out.channels
         if channels != (3, 3) or not any("cfa" in s.options for s in self.node.stages()):
             raise ValueError(

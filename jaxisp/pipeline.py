@@ -24,7 +24,7 @@ from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.checks import check_count
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.node import Around, Node, Params, Stage, entry, stage
+from jaxisp.node import Around, Node, Params, Stage, entry, require_node, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, sections, signature
@@ -46,7 +46,7 @@ class Row(Node):
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", tuple(self.nodes))
         for node in self.nodes:
-            _require_node(node, type(self).__name__)
+            require_node(node, type(self).__name__)
         _check_pattern(self.stages())
 
     @property
@@ -164,7 +164,7 @@ class Gate(Around):
     name: str = ""
 
     def __post_init__(self) -> None:
-        _require_node(self.node, "Gate")
+        require_node(self.node, "Gate")
         object.__setattr__(self, "name", self.name or f"use_{self.node.name}")
         _require_keeping(self.node, "Gate")
 
@@ -278,12 +278,6 @@ def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
     return first, now
 
 
-def _require_node(node: Any, what: str) -> None:
-    if not isinstance(node, Node):
-        advice = f": stage({node!r})?" if isinstance(node, str) else ", as stage(...) makes"
-        raise TypeError(f"{what} takes stages and pipelines, got {node!r}{advice}")
-
-
 def _check_pattern(stages: Iterable[Stage]) -> None:
     """Raise ValueError where two stages in a row take a mosaic for one of another pattern."""
     first: Stage | None = None
@@ -320,6 +314,7 @@ def run(node: Node, params: Params, image: ArrayLike, key: jax.Array | None = No
         >>> jaxisp.run(node, node.init(), np.ones((8, 12, 3), np.float32)).shape
         (8, 12, 3)
     """
+    require_node(node, "run")
     node.check(params)
     return compiled(node, params, image, key)
 
@@ -359,6 +354,7 @@ def run_in_strips(
         >>> bool(np.allclose(strips, jaxisp.run(node, node.init(), frame), atol=1e-6))
         True
     """
+    require_node(node, "run_in_strips")
     node.check(params)
     return compiled_in_strips(node, params, image, key, rows)
 
@@ -414,6 +410,7 @@ def run_batch(
         >>> bool((noisy[3] == last[0]).all())
         True
     """
+    require_node(node, "run_batch")
     node.check(params)
     check_count({name: params[name] for name in node.init()}, np.shape(images)[0])
     return compiled_batch(node, params, images, key, start)

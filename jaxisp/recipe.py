@@ -62,6 +62,8 @@ class Recipe:
     """The prior that `dataclasses.replace` hands on: what a new prior leaves out keeps it."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.chain, Chain):
+            raise TypeError(f"Recipe takes a Chain((stage(...), ...), NAME), got {short(self.chain)}")
         default = self.chain.init()
         for name, own in self.prior.items():
             if name not in default:
@@ -216,6 +218,8 @@ class Recipe:
     def from_table(cls, table: dict[str, Any], source: str = "recipe") -> "Recipe":
         """Read a recipe that stands in a larger TOML file. Raises what `from_toml` does."""
         try:
+            if "mixture" in table:
+                raise InputError("a mixture is several recipes: jaxisp.recipes.load_degradation reads it")
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
                 raise InputError(
@@ -247,7 +251,14 @@ def taken(
     shape, dtype = np.shape(images), getattr(images, "dtype", None)
     if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
         got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
-        raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}")
+        advice = ""
+        if len(shape) == 3 and shape[-1] == 3:
+            advice = ": give one picture as image[None]"
+        elif len(shape) == 4 and shape[1] == 3 != shape[-1]:
+            advice = ": move the channels last"
+        elif dtype is not None and jnp.issubdtype(dtype, jnp.integer):
+            advice = ": divide 8 bits by 255"
+        raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}{advice}")
     if not isinstance(key, jax.Array | np.ndarray):
         raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
     check_levels(images, who, domain)

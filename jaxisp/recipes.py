@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.domains import MOSAIC
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, meant
 from jaxisp.io.files import parse_toml, read_text, short
 from jaxisp.mixture import Degradation, Mixture
+from jaxisp.node import Around
 from jaxisp.phase import AnyPhase, CfaPhase
-from jaxisp.pipeline import Chain, Gate, Switch, stage
+from jaxisp.pipeline import Chain, Gate, Row, Switch, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, PowerUniform, Uniform
 from jaxisp.published import PUBLISHED
 from jaxisp.published import bsrgan as bsrgan
@@ -39,12 +40,16 @@ from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
 from jaxisp.stages.resampling import Resampling
 from jaxisp.stages.sensor import AdcQuantization
 from jaxisp.stages.tone import SCurve
+from jaxisp.unprocess import Unprocessed
 
 CFA = "GRBG"
 PHASES = "-phases"
 """How the name of a recipe ends whose mosaic begins at any photosite of its cell."""
 CLEAN = "clean"
 """The name of pictures as they are, in a mixture."""
+RecipeLike = str | Path | Chain | Degradation
+"""What stands for a recipe wherever one is taken: itself, a mixture, a built-in name, shares of several, the
+path of a TOML file, or a chain, whose parameters are then the defaults."""
 PAPER_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1))
 CODE_NOISE = ShotReadNoise(shot=LogUniform(1e-4, 0.04), read=LogUniform(0.01, 0.1))
 # Sensors' noise is shot noise but for the darkest tones: phones' calibrated read noise is 0.0001 to 0.007 and
@@ -201,31 +206,56 @@ def any_camera() -> Recipe:
     return Recipe(Chain(nodes, "any-camera"), prior, text)
 
 
-def any_phase(recipe: Recipe) -> Recipe:
+def any_phase(recipe: RecipeLike) -> Recipe:
     """A recipe whose mosaic begins at any photosite of its pattern's cell, drawn for each image.
 
     All four patterns are seen, as in the training code of Jaroensri et al. 2019. Nothing is compiled anew
-    for a phase. The name of the recipe gets the ending `-phases`.
+    for a phase. The name of the recipe gets the ending `-phases`. A mosaic is found wherever it stands: also
+    within a gate, a shuffle, or `Unprocessed`, which moves as a whole.
+
+    Args:
+        recipe: one recipe, in any form that `find_recipe` takes.
 
     Raises:
-        InputError: the recipe has no mosaic, or does not demosaick it.
+        InputError: the recipe has no mosaic that it demosaicks, has several, or draws its phase already.
     """
-    nodes, own = recipe.chain.nodes, _sensor(recipe)
-    if own is None:
-        raise InputError(f"recipe {recipe.name!r} has no mosaic that it demosaicks, so that it has no phase")
-    inner = AnyPhase(Chain(nodes[own], "sensor"))
-    chain = Chain((*nodes[: own.start], inner, *nodes[own.stop :]), f"{recipe.name}{PHASES}")
-    prior = recipe.prior | {inner.name: CfaPhase(row=Bernoulli(0.5), column=Bernoulli(0.5))}
+    recipe = find_recipe(recipe)
+    if _draws_phase(recipe):
+        raise InputError(f"recipe {recipe.name!r} draws already where its mosaic begins")
+    chain, count = _phased(recipe.chain)
+    if count != 1:
+        what = f"{count} mosaics that it demosaicks" if count else "no mosaic that it demosaicks"
+        raise InputError(f"recipe {recipe.name!r} has {what}, so that it has no phase")
+    chain = dataclasses.replace(chain, name=f"{recipe.name}{PHASES}")
+    prior = recipe.prior | {AnyPhase.name: CfaPhase(row=Bernoulli(0.5), column=Bernoulli(0.5))}
     text = f"{recipe.description}; the mosaic begins at any photosite of its cell"
     return dataclasses.replace(recipe, chain=chain, prior=prior, description=text)
 
 
-def _sensor(recipe: Recipe) -> slice | None:
-    """The nodes from a recipe's mosaic to its demosaicking; None where it has not one of each."""
-    nodes = recipe.chain.nodes
-    first = [i for i, n in enumerate(nodes) if n.domain_in.channels == 3 and n.domain_out == MOSAIC]
-    last = [i for i, n in enumerate(nodes) if n.domain_in == MOSAIC and n.domain_out.channels == 3]
-    return slice(first[0], last[0] + 1) if len(first) == len(last) == 1 else None
+def _phased(node: Any) -> tuple[Any, int]:
+    """A pipeline with `AnyPhase` around each part from a mosaic to its demosaicking; how many there are."""
+    if isinstance(node, Unprocessed):
+        return AnyPhase(node), 1
+    if isinstance(node, Around):
+        inner, count = _phased(node.node)
+        return (dataclasses.replace(node, node=inner), count) if count else (node, 0)
+    if not isinstance(node, Row):
+        return node, 0
+    found, count, start = [], 0, None
+    for own, more in map(_phased, node.nodes):
+        found.append(own)
+        count += more
+        if own.domain_in.channels == 3 and own.domain_out == MOSAIC:
+            start = len(found) - 1
+        elif start is not None and own.domain_in == MOSAIC and own.domain_out.channels == 3:
+            found[start:] = [AnyPhase(Chain(tuple(found[start:]), "sensor"))]
+            count, start = count + 1, None
+    # several would share one name
+    return (dataclasses.replace(node, nodes=tuple(found)), count) if count == 1 else (node, count)
+
+
+def _draws_phase(recipe: Recipe) -> bool:
+    return any(isinstance(own, CfaPhase) for own in recipe.prior.values())
 
 
 RECIPES: dict[str, Callable[[], Recipe]] = {
@@ -249,39 +279,63 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
 """The built-in recipes by the name that the command line takes."""
 
 
-def find_recipe(name: str, *, phases: bool = False) -> Recipe:
-    """A built-in recipe by name, or the recipe in a TOML file. Raises InputError where there is none.
+def find_recipe(recipe: RecipeLike, *, phases: bool = False) -> Recipe:
+    """One recipe: as it is, by its built-in name, from a TOML file, or of a chain. Raises InputError.
 
     The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
     With `phases` all built-in recipes with a mosaic are so.
+
+    Args:
+        recipe: all that `RecipeLike` is but mixtures, which are several recipes.
 
     Example:
         >>> find_recipe("phone").name
         'phone'
     """
+    if isinstance(recipe, Recipe):
+        return recipe
+    if isinstance(recipe, Chain):
+        return Recipe(recipe, {})
+    if isinstance(recipe, Mixture):
+        raise InputError(f"a mixture ({recipe.name}) is several recipes: give one of them")
+    if not isinstance(recipe, str | Path):
+        raise InputError(
+            "a recipe is a Recipe, a Chain, a name as 'phone', or the path of a TOML file, "
+            f"got {short(recipe)}"
+        )
+    name = str(recipe)
     if name in RECIPES:
-        recipe = RECIPES[name]()
-        return any_phase(recipe) if phases and _sensor(recipe) else recipe
+        found = RECIPES[name]()
+        has_phase = phases and not _draws_phase(found) and _phased(found.chain)[1] == 1
+        return any_phase(found) if has_phase else found
     if name.removesuffix(PHASES) in RECIPES:
         return any_phase(RECIPES[name.removesuffix(PHASES)]())
     if not name.endswith(".toml") and not os.path.lexists(name):
-        raise InputError(f"no recipe named {name!r}; there are {', '.join(RECIPES)}, or give a TOML file")
+        hint = meant(name, RECIPES) or f"; there are {', '.join(RECIPES)}, or give a TOML file"
+        raise InputError(f"no recipe named {name!r}{hint}")
     return Recipe.load(name)
 
 
-def find_degradation(name: str, *, phases: bool = False) -> Degradation:
+def find_degradation(recipe: RecipeLike, *, phases: bool = False) -> Degradation:
     """What `find_recipe` finds, or a mixture: `phone=0.6,awgn=0.2,clean=0.2`, or a TOML file of one.
 
     Raises:
         InputError: there is no such recipe, or shares that do not sum to 1.
+
+    Example:
+        >>> find_degradation("awgn=0.75,clean=0.25")
+        mix({'awgn': 0.75, 'clean': 0.25})
     """
+    if isinstance(recipe, Mixture) or not isinstance(recipe, str | Path):
+        return recipe if isinstance(recipe, Mixture) else find_recipe(recipe)
+    name = str(recipe)
     if "=" in name and not os.path.lexists(name):
         shares: dict[str | Recipe, float] = {}
         for part in name.split(","):
             own, _, share = part.strip().rpartition("=")
             try:
-                recipe = find_recipe(own, phases=True) if phases and own != CLEAN else own
-                shares[recipe] = float(share)
+                found = find_recipe(own, phases=True) if phases and own != CLEAN else own
+                shares[found] = float(share)
             except ValueError:
                 raise InputError(f"{part.strip()!r} is no share of a mixture, as phone=0.6") from None
         return mix(shares)
@@ -292,19 +346,22 @@ def find_degradation(name: str, *, phases: bool = False) -> Degradation:
 
 def load_degradation(path: str | Path) -> Degradation:
     """The recipe or the mixture in a TOML file. Raises InputError where there is none."""
-    text = read_text(path)
-    if "mixture" in parse_toml(text, str(path)):
-        return Mixture.from_toml(text, str(path))
-    return Recipe.load(path)
+    return read_degradation(read_text(path), str(path))
 
 
-def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
+def read_degradation(text: str, source: str = "recipe") -> Degradation:
+    """The recipe or the mixture of a TOML text. Raises InputError that names `source` and what is wrong."""
+    kind = Mixture if "mixture" in parse_toml(text, source) else Recipe
+    return kind.from_toml(text, source)
+
+
+def mix(shares: Mapping[Any, float]) -> Mixture:
     """A mixture: each image is degraded by one of several recipes.
 
     `mix({"phone": 0.6, "awgn": 0.2, "clean": 0.2})`; `clean` leaves an image as it is.
 
     Args:
-        shares: of the images, by recipe: a built-in name, a TOML file, or a `Recipe`. They sum to 1.
+        shares: of the images, by recipe in any form that `find_recipe` takes, or "clean". They sum to 1.
 
     Raises:
         InputError: no such recipe, two of one name, one that is not for photographs, or other shares.
@@ -322,9 +379,7 @@ def mix(shares: Mapping[str | Recipe, float]) -> Mixture:
         )
     recipes: dict[str, Recipe] = {}
     for given in shares:
-        if not isinstance(given, str | Recipe):
-            raise InputError(f"mix takes recipes or their names, got {short(given)}")
-        recipe = given if isinstance(given, Recipe) else _clean() if given == CLEAN else find_recipe(given)
+        recipe = _clean() if given == CLEAN else find_recipe(given)
         if recipe.name in recipes:
             raise InputError(
                 f"two recipes of a mixture are named {recipe.name!r}: name one's chain otherwise"

@@ -1,9 +1,10 @@
-"""Pipelines, parameters and recipes as they show themselves: a few lines of text, or a table of HTML."""
+"""Pipelines, recipes, results and data as they show themselves: a few lines of text, or a table of HTML."""
 
 import dataclasses
 import html
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Sized
+from pathlib import PurePath
 from typing import Any
 
 import jax
@@ -37,6 +38,47 @@ def value_text(value: Any) -> str:
 def _numbers(array: np.ndarray) -> str:
     # not np.array2string, which follows print options that others set
     return f"{float(array):.5g}" if array.ndim == 0 else f"[{', '.join(map(_numbers, array))}]"
+
+
+def brief(value: Any, summary: str = "") -> str:
+    """A result or data in a few lines: arrays by shape and range, long lists by their length.
+
+    Args:
+        value: an instance of a dataclass; what is empty in it is left out.
+        summary: what to say first.
+    """
+    lines = [f"{type(value).__name__}{': ' * bool(summary)}{summary}"]
+    for field in dataclasses.fields(value):
+        own = getattr(value, field.name)
+        if field.repr and own is not None and not (isinstance(own, Sized) and not len(own)):
+            lines.append(f"  {field.name:<18} {_brief_field(own)}")
+    return "\n".join(lines)
+
+
+def _brief_field(own: Any) -> str:
+    if isinstance(own, np.ndarray | jax.Array) and np.size(own) > _MOST:
+        shape = "x".join(map(str, np.shape(own)))
+        numbers = f" from {np.min(own):.4g} to {np.max(own):.4g}" if own.dtype.kind in "fiu" else ""
+        return f"{own.dtype} {shape}{numbers}"
+    if isinstance(own, str | PurePath):
+        return textwrap.shorten(str(own), WIDTH - 22, placeholder="...")
+    if dataclasses.is_dataclass(own):
+        return textwrap.shorten(repr(own).split("\n")[0], WIDTH - 22, placeholder="...")
+    items = list(own.values()) if isinstance(own, dict) else own if isinstance(own, list | tuple) else ()
+    if any(map(_is_large, items)):
+        return f"{len(items)} of them"
+    text = " ".join(repr(own).split())
+    return text if len(text) <= WIDTH - 22 else f"{text[: WIDTH - 25]}..."
+
+
+def _is_large(item: Any) -> bool:
+    return isinstance(item, np.ndarray | jax.Array) or dataclasses.is_dataclass(item)
+
+
+def mixture_html(mixture: Any) -> str:
+    """The shares, and a table for each recipe."""
+    parts = zip(mixture.shares, mixture.recipes.values())
+    return "".join(f"<p>{100 * share:.3g} %</p>{recipe_html(recipe)}" for share, recipe in parts)
 
 
 def params_text(params: Any) -> str:

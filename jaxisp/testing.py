@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.checks import several
 from jaxisp.node import Stage, stage
 from jaxisp.params import map_specs, specs
 from jaxisp.pipeline import compiled, run, run_batch, sections, signature
@@ -99,13 +100,13 @@ class Subject:
 
 
 def check_stage(
-    subject: Stage | str | Callable[..., jax.Array], only: Sequence[str] | None = None
+    subject: Stage | str | Callable[..., jax.Array], only: str | Sequence[str] | None = None
 ) -> list[str]:
     """Put a stage through the contract that every stage of the library keeps.
 
     Args:
         subject: a stage, a registered name, or a stage function.
-        only: names of `CHECKS`; all of them unless given.
+        only: names of `CHECKS`, or one; all of them unless given.
 
     Returns:
         The names of the checks that it passed, which are all that were asked for.
@@ -119,7 +120,7 @@ def check_stage(
         ['declaration', 'no_retrace']
     """
     under_test = Subject(subject if isinstance(subject, Stage) else stage(subject))
-    names = list(CHECKS) if only is None else list(only)
+    names = list(CHECKS) if only is None else list(several(only))
     if unknown := [name for name in names if name not in CHECKS]:
         raise KeyError(f"no check named {unknown[0]!r}; there are {', '.join(CHECKS)}")
     for name in names:
@@ -149,24 +150,22 @@ def _declaration(subject: Subject) -> None:
 def _total(subject: Subject) -> None:
     """Finite float32 for every finite input: black, white, above 1, negative, parameters on their bounds."""
     node = subject.node
-    for share in (None, 0.0, 1.0):
-        for image in _extremes(subject):
+    for share, where in _PLACES.items():
+        for what, image in _extremes(subject).items():
             out = run(node, subject.params(share), image, jax.random.key(0))
             _require(out.dtype == jnp.float32, f"{node.name}: {out.dtype} comes of float32")
-            _require(np.isfinite(out).all(), f"{node.name}: not finite, parameters at {share} of their range")
+            _require(np.isfinite(out).all(), f"{node.name}: not finite on {what}, {where}")
             wanted = {1: 2, 3: 3, None: image.ndim}[node.domain_out.channels]
             _require(out.ndim == wanted, f"{node.name}: {out.shape} is not {node.domain_out.name}")
 
 
 def _gradient_is_finite(subject: Subject) -> None:
     """Finite gradients for the same inputs."""
-    for share in (None, 0.0, 1.0):
-        for image in _extremes(subject):
+    for share, where in _PLACES.items():
+        for what, image in _extremes(subject).items():
             found = subject.gradient(subject.params(share), image, subject.weights, jax.random.key(0))[1]
             finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
-            _require(
-                finite, f"{subject.node.name}: gradient not finite, parameters at {share} of their range"
-            )
+            _require(finite, f"{subject.node.name}: gradient not finite on {what}, {where}")
 
 
 def _products_are_precise(subject: Subject) -> None:
@@ -338,9 +337,21 @@ def imprecise_products(program: Any) -> list[str]:
     return found
 
 
-def _extremes(subject: Subject) -> list[np.ndarray]:
+_PLACES = {
+    None: "parameters within their ranges",
+    0.0: "parameters at their lower bounds",
+    1.0: "parameters at their upper bounds",
+}
+
+
+def _extremes(subject: Subject) -> dict[str, np.ndarray]:
     ordinary = subject.image()
-    return [ordinary, np.zeros_like(ordinary), np.ones_like(ordinary), 4 * ordinary - 1]
+    return {
+        "a smooth picture": ordinary,
+        "black": np.zeros_like(ordinary),
+        "white": np.ones_like(ordinary),
+        "levels from -1 to 3": 4 * ordinary - 1,
+    }
 
 
 def _require(condition: Any, text: str) -> None:

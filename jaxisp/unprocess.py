@@ -65,9 +65,8 @@ class Unprocessed(Around):
 
     def __post_init__(self) -> None:
         if not isinstance(self.node, Row) or len(self._split) != 2:
-            raise TypeError(
-                f"Unprocessed takes a chain from a mosaic to one demosaicking stage, got {self.node!r}"
-            )
+            got = " ".join(repr(self.node).split())
+            raise TypeError(f"Unprocessed takes a chain from a mosaic to one demosaicking stage, got {got}")
 
     @property
     def _split(self) -> tuple[tuple[Node, ...], ...]:

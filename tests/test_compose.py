@@ -16,6 +16,7 @@ from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
 from jaxisp.recipes import RECIPES, any_phase, find_degradation, find_recipe, mix
 from jaxisp.testing import smooth_image
+from jaxisp.unprocess import CameraColors, Unprocessed
 
 KEY = jax.random.key(7)
 IMAGES = np.stack([smooth_image((16, 16, 3), i) for i in range(4)]).astype(np.float32)
@@ -228,7 +229,8 @@ def test_a_mixture_runs_no_recipe_for_the_images_of_another():
         ({}, "a share for each"),
         ({"phone": "all"}, "must be numbers"),
         ({"phone": None}, "must be numbers"),
-        ({3: 1.0}, "recipes or their names"),
+        ({3: 1.0}, "a recipe is a Recipe, a Chain, a name"),
+        ({mix({"awgn": 1.0}): 1.0}, "several recipes: give one of them"),
         (["phone"], "shares by recipe"),
     ],
     ids=str,
@@ -274,6 +276,41 @@ def test_phases_are_drawn_for_each_image():
     assert names(edited.chain)[1:4] == ["mosaic", "black_level", "shot_read_noise"]
     with pytest.raises(InputError, match="has no mosaic"):
         find_recipe("awgn-phases")
+    with pytest.raises(InputError, match="draws already where"):
+        any_phase("any-camera")
+    with pytest.raises(InputError, match="draws already where"):
+        any_phase(recipe)
+
+
+@pytest.mark.parametrize("phase", [(0, 1), (1, 1)])
+def test_a_phase_within_unprocessed_moves_gains_and_mosaic_alike(phase):
+    """Against the static pattern, named by hand; highlights, gains and matrix as there."""
+    seen = {(0, 1): "GRBG", (1, 1): "BGGR"}[phase]
+    image = np.random.default_rng(2).random((20, 23, 3), np.float32)
+
+    def sensor(cfa):
+        return Unprocessed(Chain((stage("mosaic", cfa=cfa), stage("demosaic_bilinear", cfa=cfa))))
+
+    colors = {"unprocessed": CameraColors(red=np.float32(2.3), blue=np.float32(1.6), dimming=np.float32(0.9))}
+    place = {"cfa_phase": CfaPhase(row=np.float32(phase[0]), column=np.float32(phase[1]))}
+    got = run(AnyPhase(sensor("RGGB")), colors | place, image)
+    np.testing.assert_allclose(got[4:-4, 4:-4], run(sensor(seen), colors, image)[4:-4, 4:-4], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["unprocessing", "rsblur", "bsrgan", "phone-any"])
+def test_a_mosaic_is_found_wherever_it_stands(name):
+    recipe, before = any_phase(name), RECIPES[name]()
+    assert set(recipe.prior) == {*before.prior, "cfa_phase"}
+    assert names(recipe.chain) == names(before.chain)
+    assert Recipe.from_toml(recipe.to_toml()) == recipe == find_recipe(name, phases=True)
+    assert recipe.chain.nodes[-1] == before.chain.nodes[-1] and repr(recipe).count("(AnyPhase)") == 1
+
+
+def test_two_mosaics_have_no_one_phase():
+    sensor = stage("mosaic"), stage("demosaic_bilinear")
+    again = stage("mosaic", name="again"), stage("demosaic_bilinear", name="again_demosaicked")
+    with pytest.raises(InputError, match="has 2 mosaics"):
+        any_phase(Chain((*sensor, *again), "two"))
 
 
 def test_a_mixture_over_devices():

@@ -58,7 +58,7 @@ def test_demo(tmp_path, capsys, monkeypatch):
     ):
         assert heading in text
     assert 'href="diagnosis/report.html"' in text and ("Right: " in text or "Wrong: " in text)
-    assert len(result["fit"]["pairs"]) == 2 and result["degrade"]["images"] == 8
+    assert len(result["fit"]["pairs"]) == 4 and result["degrade"]["images"] == 4
     assert result["train"]["step"] == 2 and result["diagnose"]["verdict"] in ("effect", "none", "unknown")
     assert (tmp_path / "d" / "diagnosis" / "report.html").stat().st_size > 1000
     assert open_dataset(tmp_path / "d" / "degraded").kind == "clean+noisy"

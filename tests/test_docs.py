@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import jaxisp
 from benchmarks import accelerator_report, report, stages_report, training
@@ -96,6 +97,7 @@ def build(tmp_path_factory):
     """The site's folder and what Sphinx said."""
     out = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    command += ["-D", "stage_pictures=0"]  # a minute
     done = subprocess.run(
         [*command, str(ROOT / "docs"), str(out)], capture_output=True, text=True, timeout=600
     )
@@ -129,6 +131,32 @@ def test_the_reference_is_whole(site):
                 assert re.search(rf'id="[\w.]*\.{name}"', text["api"]), (
                     f"{module}.{name} is not in the reference"
                 )
+
+
+@pytest.fixture
+def stage_pictures(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    return importlib.import_module("stage_pictures")
+
+
+def test_settings_of_pictures_are_those_of_stages(stage_pictures):
+    for name in STAGES:
+        node, params, _ = stage_pictures.setting(name)
+        node.check(params)
+    assert not set(stage_pictures.SETTINGS) - set(STAGES)
+
+
+@pytest.mark.parametrize(("name", "words"), [("vignetting", "a2 -0.8"), ("resize", ""), ("median", "noise")])
+def test_a_stage_has_a_picture(name, words, stage_pictures, tmp_path):
+    assert words in stage_pictures.write(name, tmp_path / "it.png")
+    first, then = np.split(np.asarray(Image.open(tmp_path / "it.png"))[:, np.r_[:96, 100:196]], 2, 1)
+    assert np.abs(first.astype(float) - then).mean() > 1
+
+
+def test_a_picture_that_shows_nothing_is_refused(stage_pictures, tmp_path, monkeypatch):
+    monkeypatch.setattr(stage_pictures, "SETTINGS", {})
+    with pytest.raises(ValueError, match="changes nothing that is seen"):
+        stage_pictures.write("vignetting", tmp_path / "it.png")
 
 
 @built

@@ -132,7 +132,7 @@ def test_some_cameras_of_any_kind_do_not_denoise():
 
 def test_find_recipe(tmp_path):
     assert find_recipe("phone") == RECIPES["phone"]()
-    with pytest.raises(InputError, match="no recipe named 'fone'; there are awgn"):
+    with pytest.raises(InputError, match="no recipe named 'fone'; is it phone"):
         find_recipe("fone")
     with pytest.raises(InputError, match=r"x.toml: cannot be read"):
         find_recipe(str(tmp_path / "x.toml"))

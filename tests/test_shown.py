@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from jaxisp import stage
+from jaxisp.calibrate import Calibrated, Noise
+from jaxisp.calibrate.noise import Figure
 from jaxisp.catalogue import GROUPS
 from jaxisp.cli import main
+from jaxisp.fit import FitResult, PairResult
+from jaxisp.gap import Diagnosis
+from jaxisp.io import open_dataset
 from jaxisp.recipes import RECIPES, find_recipe, mix
+from jaxisp.samples import PHONES, scene, write_pairs
 from jaxisp.stages import STAGES
 from jaxisp.stages.noise import ShotReadNoise
 
@@ -56,7 +62,9 @@ def test_parameters_of_a_batch_and_traced_ones_are_short():
 
 
 def test_a_mixture_shows_its_shares():
-    assert repr(mix({"phone": 0.75, "clean": 0.25})) == "mix({'phone': 0.75, 'clean': 0.25})"
+    mixture = mix({"phone": 0.75, "clean": 0.25})
+    assert repr(mixture) == "mix({'phone': 0.75, 'clean': 0.25})"
+    assert mixture._repr_html_().count("<table>") == 2 and "75 %" in mixture._repr_html_()
 
 
 def listed(capsys, *arguments):
@@ -85,3 +93,21 @@ def test_the_listing_is_filtered(capsys):
     assert {"bilateral", "median"} <= names and "jpeg" not in names
     assert main(["stages", "bilatreal"]) == 2
     assert "is it bilateral" in capsys.readouterr().err
+
+
+def test_data_and_results_show_themselves_in_a_few_lines(tmp_path):
+    write_pairs(tmp_path, PHONES["a"], {"a": scene("astronaut", 64)})
+    dataset = open_dataset(tmp_path)
+    loaded = dataset.pairs[0].load()
+    pair = PairResult("a", 30.0, 0.9, 29.0, 0.8, (0.0, 0.1), loaded.picture, loaded.picture, loaded.picture)
+    fit = FitResult(RECIPES["phone"](), [pair], np.zeros(40), ("tone",), 3.0)
+    figures = {"shot": Figure(1e-4, 1e-6), "read": Figure(1e-3, 1e-5)}
+    noise = Noise(100.0, figures, 64.0, 1023.0, "RGGB")
+    report = {"verdict": "effect", "causes": [{"effect": "sharpening"}], "where": list(range(1000))}
+    found = Diagnosis(report | {"gap": {"before": 3.0, "after": 2.0, "floor": 1.0}}, {})
+    for own in (dataset, loaded, loaded.raw, loaded.jpeg, fit, pair, noise, Calibrated("A", (noise,)), found):
+        lines = repr(own).splitlines()
+        assert lines[0].startswith(type(own).__name__)
+        assert len(lines) <= 30 and max(map(len, lines)) <= 100
+    assert "64x64x3 from 0" in repr(loaded) and "held out 29.00 dB, SSIM 0.800" in repr(fit)
+    assert repr(found) == "Diagnosis: effect, sharpening; gap 3, then 2, floor 1"

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp import Chain
 from jaxisp.domains import LinearRGB
 from jaxisp.node import Stage, stage
 from jaxisp.params import Leaf, param, parameters
@@ -197,3 +198,16 @@ def test_unknown_names_are_refused():
         check_stage(sound, only=["nonsense"])
     with pytest.raises(KeyError, match="no stage named"):
         check_stage("nonsense")
+
+
+def test_what_is_no_one_stage_is_told_in_words():
+    for wrong, words in (
+        (Chain((stage("clip"),)), "got Chain 'chain', which is a node already"),
+        (stage("clip"), "which is a node already"),
+        (3, "got 3"),
+    ):
+        with pytest.raises(TypeError, match=f"a stage function or a registered name, {words}|{words}"):
+            stage(wrong)
+    with pytest.raises(TypeError, match="which is a node already"):
+        check_stage(Chain((stage("clip"),)), only="declaration")
+    assert check_stage("clip", only="declaration") == ["declaration"]

@@ -174,6 +174,21 @@ def test_the_range_of_a_batch(place):
     recipe.degrade(KEY, place(1.3 * IMAGES - 0.15))  # a sharpened picture
 
 
+@pytest.mark.parametrize(
+    ("images", "advice"),
+    [
+        (IMAGES[0], r"\(16, 18, 3\): give one picture as image\[None\]"),
+        (np.moveaxis(IMAGES, -1, 1), "move the channels last"),
+        (np.uint8(255 * IMAGES), "divide 8 bits by 255"),
+        (IMAGES.tolist(), r"got list$"),
+    ],
+    ids=["one", "channels", "bytes", "list"],
+)
+def test_the_shape_of_a_batch(images, advice):
+    with pytest.raises(TypeError, match=advice):
+        RECIPES["awgn"]().degrade(KEY, images)
+
+
 def test_the_range_of_a_batch_of_a_source():
     class Bytes:
         def batch(self, indices):

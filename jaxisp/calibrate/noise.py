@@ -15,6 +15,8 @@ from jaxisp.io.files import PathLike, parse_toml, read_text, short, write_text
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
+from jaxisp.shown import brief
 from jaxisp.stages.noise import ColumnNoise, GaussianNoise, HeavyTailedNoise, Prnu, RowNoise, ShotReadNoise
 
 FIGURES = {
@@ -52,7 +54,7 @@ class Figure(NamedTuple):
     error: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Noise:
     """The noise at one ISO number.
 
@@ -67,6 +69,8 @@ class Noise:
         points: level, temporal and spatial variance of blocks, for plots; not in the file.
         profiles: of rows and columns in the dark, for plots; not in the file.
     """
+
+    __repr__ = brief
 
     iso: float | None
     figures: Mapping[str, Figure]
@@ -131,7 +135,7 @@ def _within(kind: type, field: str, value: float) -> np.float32:
     return np.float32(min(max(value, low), high))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Calibrated:
     """The noise of a camera by ISO number, ascending.
 
@@ -140,6 +144,8 @@ class Calibrated:
         noise: one entry an ISO number.
         notes: what to know about the frames.
     """
+
+    __repr__ = brief
 
     camera: str
     noise: tuple[Noise, ...]
@@ -245,7 +251,7 @@ def _noise(table: dict[str, Any]) -> Noise:
     )
 
 
-def with_noise(recipe: Recipe, noise: Noise) -> Recipe:
+def with_noise(recipe: RecipeLike, noise: Noise) -> Recipe:
     """The recipe with calibrated noise in the place of its own.
 
     All its stages of noise before demosaicking (or, without a mosaic, before encoding) go, with switches
@@ -254,6 +260,7 @@ def with_noise(recipe: Recipe, noise: Noise) -> Recipe:
     Raises:
         InputError: the recipe has no stage of noise in linear light.
     """
+    recipe = find_recipe(recipe)
     own = [s.name for s in _in_light(recipe.chain) if s.fn.__name__ in NOISE_STAGES]
     if not own:
         raise InputError(f"recipe {recipe.name!r} has no stage of noise in linear light to replace")

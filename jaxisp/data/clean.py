@@ -14,6 +14,7 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
 from jaxisp.process import cores
+from jaxisp.shown import brief
 
 WHOLE_BYTES = 2 << 30
 """Up to this many bytes in all, photographs are kept whole; beyond it, as crops."""
@@ -21,7 +22,7 @@ WHOLE_BYTES = 2 << 30
 _CROP = 2.0  # side of a kept crop, in patches
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CleanImages:
     """Photographs, encoded sRGB as uint16, and what could not be used.
 
@@ -30,6 +31,8 @@ class CleanImages:
         images: (H, W, 3) uint16 each, 65535 is white.
         skipped: (file, reason) of the rest.
     """
+
+    __repr__ = brief
 
     names: tuple[str, ...]
     images: tuple[np.ndarray, ...]

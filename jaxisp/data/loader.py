@@ -12,8 +12,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxisp.data.clean import load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
-from jaxisp.mixture import Degradation
 from jaxisp.recipe import check_levels
+from jaxisp.recipes import RecipeLike, find_degradation
 
 Pair = tuple[jax.Array, jax.Array]
 
@@ -33,7 +33,7 @@ class Batches:
 
     Args:
         source: the clean patches.
-        recipe: takes and gives encoded sRGB.
+        recipe: takes and gives encoded sRGB: a recipe, a mixture, a chain, a name, or a TOML file.
         batch: patches in a batch, over all devices.
         seed: of the degradation.
         start: batches to leave out, to go on where another stopped.
@@ -47,7 +47,7 @@ class Batches:
     def __init__(
         self,
         source: Source,
-        recipe: Degradation,
+        recipe: RecipeLike,
         *,
         batch: int = 32,
         seed: int = 0,
@@ -117,15 +117,16 @@ class Batches:
 
 
 def degrader(
-    recipe: Degradation, key: jax.Array, mesh: Mesh | None = None
+    recipe: RecipeLike, key: jax.Array, mesh: Mesh | None = None
 ) -> Callable[[jax.Array, jax.Array], jax.Array]:
     """`(clean, indices) -> noisy`; over a mesh each device degrades its own rows of the batch.
 
     The bits of a sample are the same on any number of devices.
     """
+    found = find_degradation(recipe)
 
     def degrade(clean: jax.Array, indices: jax.Array) -> jax.Array:
-        return recipe.degrade(key, clean, indices)[0]
+        return found.degrade(key, clean, indices)[0]
 
     if mesh is None or mesh.size == 1:
         return degrade
@@ -135,7 +136,7 @@ def degrader(
 
 def batches(
     folder: str | Path | Sequence[str | Path],
-    recipe: Degradation,
+    recipe: RecipeLike,
     size: int = 80,
     *,
     batch: int = 32,

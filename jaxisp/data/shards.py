@@ -104,7 +104,7 @@ def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
         "schema": SCHEMA,
         "format": "array_record of npz: clean, noisy (H, W, 3) uint8, index, name, parameters (TOML)",
         "jaxisp": __version__,
-        "recipe": work.recipe.name,
+        "recipe": work.degradation.name,
         "recipe_sha256": work.digest,
         "seed": work.seed,
         "start": work.start,
@@ -124,7 +124,7 @@ def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
                 )
                 raise InputError(f"{out}: holds shards of {what}; choose another folder")
         return
-    write_new(out / RECIPE, work.recipe.to_toml())
+    write_new(out / RECIPE, work.degradation.to_toml())
     write_text(out / MANIFEST, sealed_json(json.dumps(plan, indent=1)))
 
 

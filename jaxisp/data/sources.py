@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxisp.data.clean import CleanImages, load_clean
-from jaxisp.mixture import Degradation
+from jaxisp.recipes import RecipeLike, find_degradation
 
 
 class CleanPatches:
@@ -88,16 +88,17 @@ class DegradedBatches:
 
     Args:
         patches: the clean ones.
-        recipe: takes and gives encoded sRGB.
+        recipe: takes and gives encoded sRGB: a recipe, a mixture, a chain, a name, or a TOML file.
         batch: patches in a batch.
         seed: of the degradation.
         epochs: `len` is this many.
     """
 
     def __init__(
-        self, patches: CleanPatches, recipe: Degradation, *, batch: int = 32, seed: int = 0, epochs: int = 1
+        self, patches: CleanPatches, recipe: RecipeLike, *, batch: int = 32, seed: int = 0, epochs: int = 1
     ) -> None:
-        self.patches, self.recipe, self.batch, self.seed, self.epochs = patches, recipe, batch, seed, epochs
+        self.patches, self.recipe = patches, find_degradation(recipe)
+        self.batch, self.seed, self.epochs = batch, seed, epochs
 
     def __len__(self) -> int:
         return len(self.patches) * self.epochs // self.batch

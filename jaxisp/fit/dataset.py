@@ -14,7 +14,8 @@ from jaxisp.fit.pair import Example
 from jaxisp.fit.result import FitResult
 from jaxisp.fit.search import Tick
 from jaxisp.io import Jpeg, Pair, Raw, open_dataset
-from jaxisp.recipe import Recipe
+from jaxisp.pipeline import Stage
+from jaxisp.recipes import RecipeLike
 
 
 class _Lazy:
@@ -45,11 +46,11 @@ def _as_stored(jpeg: Jpeg, picture: np.ndarray) -> bool:
 def fit_dataset(
     folder: str | Path,
     *,
-    start: Recipe | str | Path | None = None,
-    freeze: Sequence[str] = (),
-    free: Sequence[str] = (),
-    insert: Sequence[str] = (),
-    per_image: Sequence[str] = (),
+    start: RecipeLike | None = None,
+    freeze: str | Sequence[str] = (),
+    free: str | Sequence[str] = (),
+    insert: str | Stage | Sequence[str | Stage] = (),
+    per_image: str | Sequence[str] = (),
     noise: Calibrated | str | Path | None = None,
     steps: int = STEPS,
     demosaic: str = "auto",

@@ -16,7 +16,8 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from jaxisp.errors import InputError
+from jaxisp.checks import several
+from jaxisp.errors import InputError, meant
 from jaxisp.fit import model
 from jaxisp.fit.curvature import Identified, standard_errors
 from jaxisp.fit.evaluate import evaluate
@@ -32,8 +33,9 @@ from jaxisp.fit.sharing import FIXED, IMAGE, Layout, canonical, mean_of, sharing
 from jaxisp.fit.spread import agree, ahead, compile_for
 from jaxisp.fit.tiles import HOW, TILES, Shot, prepare, with_source
 from jaxisp.params import specs
-from jaxisp.pipeline import Params
+from jaxisp.pipeline import Params, Stage
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages import STAGES
 
 STEPS = 30
@@ -51,11 +53,11 @@ def fit_examples(
     demosaic: str = "auto",
     median: str = "auto",
     place: str = "camera",
-    start: Recipe | str | Path | None = None,
-    insert: Sequence[str] = (),
-    per_image: Sequence[str] = (),
-    freeze: Sequence[str] = (),
-    free: Sequence[str] = (),
+    start: RecipeLike | None = None,
+    insert: str | Stage | Sequence[str | Stage] = (),
+    per_image: str | Sequence[str] = (),
+    freeze: str | Sequence[str] = (),
+    free: str | Sequence[str] = (),
     starts: int = 1,
     hold_out: str = HOLD_OUT[0],
     journal: str | Path | None = None,
@@ -71,9 +73,10 @@ def fit_examples(
         demosaic: the demosaicking stage; "auto" tries all.
         median: footprint of the median filter ("cross", "3x3", "5x5"), "none", or "auto".
         place: where denoising is: "camera" RGB or "encoded" RGB.
-        start: a camera that an earlier fit wrote, or its file: the fit goes on from its parameters and, where
-            these are "auto", from its choices.
-        insert: stages to fit beside the others: `STAGE`, after the tone curve, or `STAGE@NAME`, elsewhere.
+        start: a camera that an earlier fit wrote, or its file: the fit goes on from its parameters, with the
+            stages that were inserted and, where these are "auto", from its choices.
+        insert: stages to fit beside the others: `STAGE` or a stage, after the tone curve, or `STAGE@NAME`,
+            elsewhere.
             They take encoded pictures and act on each pixel for itself; see `model.insertion`.
         per_image: parameters that each image has of its own: stages, `stage.field`s, "tone", "colour".
             The camera gets their mean.
@@ -97,9 +100,16 @@ def fit_examples(
         InputError: no pair can be fitted, there is no such choice or parameter, another process has the
             journal, or processes that fit together see different pairs.
     """
-    names = tuple(per_image), tuple(freeze), tuple(free)
-    inserted = tuple(model.insertion(text) for text in insert)
-    options = Options(steps, demosaic, median, place, *names, starts, inserted, _camera_text(start))
+    names = several(per_image), several(freeze), several(free)
+    camera = None if start is None else find_recipe(start)
+    inserted = tuple(model.insertion(own) for own in several(insert))
+    given = [node.name for node, _ in inserted]
+    if len(set(given)) < len(given):
+        raise InputError(f"insert: one stage twice: {', '.join(given)}")
+    if camera is not None:
+        inserted += tuple(own for own in model.inserted_in(camera) if own[0].name not in given)
+    text = "" if camera is None else camera.to_toml()
+    options = Options(steps, demosaic, median, place, *names, starts, inserted, text)
     _check(options)
     if hold_out not in HOLD_OUT:
         raise InputError(f"{hold_out!r} cannot be held out; there are {', '.join(HOLD_OUT)}")
@@ -140,12 +150,6 @@ def _fitted(
     return dataclasses.replace(result, scenes=found, seconds=time.perf_counter() - clock)
 
 
-def _camera_text(start: Recipe | str | Path | None) -> str:
-    if start is None:
-        return ""
-    return (start if isinstance(start, Recipe) else Recipe.load(start)).to_toml()
-
-
 def _loaded(given: Given) -> Example:
     return given() if callable(given) else given
 
@@ -159,7 +163,9 @@ def _check(options: Options) -> None:
     }
     for what, (given, names) in known.items():
         if given not in names:
-            raise InputError(f"{given!r} is no {what}; there are {', '.join(names)}")
+            hint = meant(str(given), names) or f"; there are {', '.join(names)}"
+            raise InputError(f"{given!r} is no {what}{hint}")
+    _ = options.given  # refuses what is no camera
     sharing(model.start(options.inserted), options.per_image, options.fixed, options.free)
     if not 1 <= options.starts <= len(model.starts()):
         raise InputError(f"{options.starts} starts: there are 1 to {len(model.starts())}")

@@ -10,6 +10,7 @@ from jaxisp.domains import ENCODED, accepts
 from jaxisp.encoder import ENCODER, encoder_of
 from jaxisp.errors import InputError, meant
 from jaxisp.io import Jpeg
+from jaxisp.io.files import short
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages import STAGES
@@ -128,27 +129,58 @@ FOLLOWED = ("gamma_compression", "s_curve", "zone_curve", "saturation", "unsharp
 """Stages after which others can be inserted, on encoded pictures."""
 
 
-def insertion(text: str) -> Inserted:
-    """`STAGE` or `STAGE@NAME` as a stage that follows another: by default the tone curve.
+def insertion(given: str | Stage) -> Inserted:
+    """`STAGE`, `STAGE@NAME` or a stage as one that follows another: by default the tone curve.
 
     Raises:
         InputError: no such stage, one that is drawn or reads other pixels, or one that is fitted already.
     """
-    name, _, after = text.partition("@")
+    if not isinstance(given, str | Stage):
+        raise InputError(f"insert takes names of stages, or stages, got {short(given)}")
+    name, _, after = given.partition("@") if isinstance(given, str) else (given.name, "", "")
     after = after or FOLLOWED[2]
-    if name not in STAGES:
-        raise InputError(f"insert: no stage named {name!r}{meant(name, STAGES)}")
-    node = stage(name)
     if after not in FOLLOWED:
-        raise InputError(f"insert {text!r}: a stage can follow {', '.join(FOLLOWED)}, not {after!r}")
-    if not (accepts(node.domain_in, ENCODED) and accepts(ENCODED, node.domain_out)):
-        raise InputError(f"insert: {name} takes {node.domain_in.name}, expected a stage on encoded sRGB")
-    if node.stochastic or node.reach != 0:
-        what = "draws noise" if node.stochastic else "reads other pixels"
-        raise InputError(f"insert: {name} {what}; a fit inserts stages that act on each pixel for itself")
-    if name in start():
-        raise InputError(f"insert: {name} is fitted already")
+        raise InputError(f"insert {given!r}: a stage can follow {', '.join(FOLLOWED)}, not {after!r}")
+    if isinstance(given, str) and name not in STAGES:
+        hint = meant(name, STAGES) or f"; there are {', '.join(insertable())}"
+        raise InputError(f"insert: no stage named {name!r}{hint}")
+    node = stage(name) if isinstance(given, str) else given
+    if why := _unfit(node):
+        raise InputError(f"insert: {name} {why}; there are {', '.join(insertable())}")
     return node, after
+
+
+def insertable() -> list[str]:
+    """The library's stages that a fit can insert."""
+    return sorted(name for name in STAGES if not _unfit(stage(name)))
+
+
+def _unfit(node: Stage) -> str:
+    """Why a stage cannot be inserted; "" where it can."""
+    if not (accepts(node.domain_in, ENCODED) and accepts(ENCODED, node.domain_out)):
+        return f"takes {node.domain_in.name}, expected a stage on encoded sRGB"
+    if node.stochastic:
+        return "draws noise, which is not fitted so"
+    if node.reach != 0:
+        return "reads other pixels, expected a stage that acts on each pixel for itself"
+    if not node.init():
+        return "has no parameter to fit"
+    if node.name in start():
+        return "is fitted already"
+    own = camera("RGGB", Design(passes=1, median=MEDIANS[-1], lens=True, sampling=True)).names()
+    return "is in the camera already" if node.name in own else ""
+
+
+def inserted_in(camera: Recipe) -> tuple[Inserted, ...]:
+    """The stages that the fit of a camera inserted, in the order that `back` takes."""
+    names = camera.meta.get("inserted", ())
+    found: list[Inserted] = []
+    after = ""
+    for node in camera.chain.nodes:
+        after = node.name if node.name in FOLLOWED else after
+        if node.name in names and isinstance(node, Stage) and after:
+            found.append((node, after))
+    return tuple(reversed(found))
 
 
 def tone() -> Chain:
@@ -204,8 +236,9 @@ def start(inserted: Sequence[Inserted] = ()) -> Params:
     }
 
 
-def of_camera(camera: Recipe) -> tuple[dict[str, Any], Params]:
-    """The choices of a camera that `jaxisp fit` wrote, as fields of `Design`, and its parameters.
+def of_camera(camera: Recipe, inserted: Sequence[Inserted] = ()) -> tuple[dict[str, Any], Params]:
+    """The choices of a camera that `jaxisp fit` wrote, as fields of `Design`, and its parameters, those of
+    the inserted stages included.
 
     Raises:
         InputError: it is no such camera.
@@ -224,7 +257,7 @@ def of_camera(camera: Recipe) -> tuple[dict[str, Any], Params]:
         "median": str(median.options["footprint"]) if median else None,
         "lens": all(name in stages for name in LENS),
     }
-    kept = {n: v for n, v in start().items() if isinstance(camera.prior.get(n), type(v))}
+    kept = {n: v for n, v in start(inserted).items() if isinstance(camera.prior.get(n), type(v))}
     return choices, {n: camera.prior[n] for n in kept}
 
 

@@ -18,16 +18,19 @@ from jaxisp.io import Jpeg, Raw, orient
 from jaxisp.io.orientation import INVERSE
 from jaxisp.pipeline import Chain, run, stage
 from jaxisp.recipe import Recipe
+from jaxisp.shown import brief
 from jaxisp.stages.transfer import srgb_oetf
 
 FROM_FILE: dict[str, Any] = {"from_file": [WHITE_BALANCE]}
 _SCALES = (0.8, 1.25)  # of the picture against the RAW; beyond, resizing would have to be modelled
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Example:
     """One pair as it was read: a RAW and the picture (H, W, 3) that the camera made of it, encoded sRGB
     in [0, 1], lying as the RAW does; `jpeg` is the file it was decoded from, where there is one."""
+
+    __repr__ = brief
 
     name: str
     raw: Raw

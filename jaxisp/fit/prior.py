@@ -1,17 +1,18 @@
 """What was fitted becomes what training data are drawn from: a recipe out of fitted cameras."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxisp.checks import several
 from jaxisp.encoder import ENCODER as JPEG
 from jaxisp.errors import InputError
 from jaxisp.params import Spec, map_specs, specs
 from jaxisp.pipeline import Chain, Node, Params, stage
 from jaxisp.priors import LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages.balance import WhiteBalance
 from jaxisp.stages.noise import ShotReadNoise
 from jaxisp.stages.optics import Exposure
@@ -37,7 +38,7 @@ ANY_NOISE = ShotReadNoise(shot=PowerUniform(0.0, 0.02, 2), read=Uniform(0.0, 0.1
 
 
 def prior_from_cameras(
-    cameras: Sequence[Recipe | str | Path],
+    cameras: RecipeLike | Sequence[RecipeLike],
     *,
     spread: float = 1.25,
     noise_spread: float = 4.0,
@@ -52,7 +53,7 @@ def prior_from_cameras(
     has some; the description says so where cameras differ.
 
     Args:
-        cameras: recipes, or the CAMERA.toml files that `jaxisp fit` wrote.
+        cameras: recipes, or the CAMERA.toml files that `jaxisp fit` wrote; or one.
         spread: by which factor a range is widened on either side; on a linear scale, by this share less 1 of
             the largest value.
         noise_spread: the same for the variance of the noise, which goes with the ISO number: 4 is two stops
@@ -65,7 +66,7 @@ def prior_from_cameras(
     Raises:
         InputError: no camera, or one that `jaxisp fit` did not make.
     """
-    loaded = [c if isinstance(c, Recipe) else Recipe.load(c) for c in cameras]
+    loaded = [find_recipe(camera) for camera in several(cameras)]
     if not loaded:
         raise InputError("a prior needs at least one camera")
     for camera in loaded:

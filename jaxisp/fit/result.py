@@ -8,9 +8,10 @@ import numpy as np
 from jaxisp.fit.curvature import Identified
 from jaxisp.fit.tiles import HOW
 from jaxisp.recipe import Recipe
+from jaxisp.shown import brief
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class PairResult:
     """Figures of one pair, of the fitted and of the held-out tiles.
 
@@ -23,6 +24,8 @@ class PairResult:
         notes: what was done to the pair.
         start, render, target: (H, W, 3), the middle of large pictures.
     """
+
+    __repr__ = brief
 
     name: str
     psnr: float
@@ -80,7 +83,7 @@ class Scenes:
         }
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class FitResult:
     """A fitted camera, how well it does, and the loss at each step.
 
@@ -113,6 +116,10 @@ class FitResult:
     resumed: bool = False
     lens_px: dict[str, float] = dataclasses.field(default_factory=dict)
     scenes: Scenes | None = None
+
+    def __repr__(self) -> str:
+        found = self.as_dict()["held_out"]
+        return brief(self, f"held out {found['psnr']:.2f} dB, SSIM {found['ssim']:.3f}")
 
     @property
     def unidentified(self) -> list[str]:

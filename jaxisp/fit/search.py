@@ -82,7 +82,9 @@ class Options:
     @functools.cached_property
     def given(self) -> tuple[dict[str, Any], Params]:
         """The choices and the parameters of the camera to start from; none without one."""
-        return model.of_camera(Recipe.from_toml(self.camera, "start")) if self.camera else ({}, {})
+        if not self.camera:
+            return {}, {}
+        return model.of_camera(Recipe.from_toml(self.camera, "start"), self.inserted)
 
     @property
     def _median(self) -> str | None:

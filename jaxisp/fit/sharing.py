@@ -53,7 +53,7 @@ def sharing(
     own, held, freed = (_expanded(names, params) for names in (per_image, fixed, free))
     both = sorted(".".join(name) for name in held & (own | freed))
     if both:
-        raise InputError(f"{', '.join(both)}: is frozen, and free or per image; expected one of these")
+        raise InputError(f"frozen, and free or per image at once: {', '.join(both)}")
     kept = (_expanded(FIXED_NAMES, params) - freed | held) - own
     for flag, names in ((FIXED, kept), (IMAGE, own)):
         for stage, field in names:
@@ -67,7 +67,7 @@ def _expanded(names: Iterable[str], params: Params) -> set[tuple[str, str]]:
     found = set()
     for name in names:
         if name not in known:
-            among = meant(name, known) or f"; there are {', '.join([*GROUPS, *fields])}"
+            among = meant(str(name), known) or f"; there are {', '.join([*GROUPS, *fields])}"
             raise InputError(f"no fitted parameter is named {name!r}{among}")
         for part in GROUPS.get(name, (name,)):
             stage, _, field = part.partition(".")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxisp.checks import several
 from jaxisp.errors import InputError
 from jaxisp.gap.base.clean_noisy import clean_case
 from jaxisp.gap.base.clean_reference import clean_case_on_reference
@@ -23,18 +24,24 @@ from jaxisp.gap.report.pictures import candidate, example
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 from jaxisp.io.datasets import Loaded, open_dataset
-from jaxisp.mixture import Degradation, Mixture
+from jaxisp.mixture import Mixture
 from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_degradation, find_recipe
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Diagnosis:
     """What was found. `report` is report.json; `pictures` shows one held-out pair, and how what is left in
     all of them is spread over frequencies and neighbours."""
 
     report: dict[str, Any]
     pictures: dict[str, Any] = dataclasses.field(repr=False)
+
+    def __repr__(self) -> str:
+        gap, causes = self.report["gap"], ", ".join(self.causes) or "no cause"
+        sizes = f"gap {gap['before']:.3g}, then {gap['after']:.3g}, floor {gap['floor']:.3g}"
+        return f"Diagnosis: {self.verdict}, {causes}; {sizes}"
 
     @property
     def verdict(self) -> str:
@@ -53,11 +60,11 @@ class Diagnosis:
 
 def diagnose(
     dataset: str | Path,
-    camera: Recipe | None = None,
+    camera: RecipeLike | None = None,
     *,
-    recipe: Degradation | None = None,
+    recipe: RecipeLike | None = None,
     reference: str | Path | None = None,
-    exclude: Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
     downstream: Downstream | None = None,
     criteria: Criteria | None = None,
     seed: int = 0,
@@ -67,8 +74,8 @@ def diagnose(
 
     Args:
         dataset: a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs.
-        camera: the simulator, mosaic to encoded sRGB, as `jaxisp.fit` makes it; its parameters are
-            believed. Default: fit a plain camera to the pairs. For clean+noisy pairs the
+        camera: the simulator, mosaic to encoded sRGB, as `jaxisp.fit` makes it, or its TOML file; its
+            parameters are believed. Default: fit a plain camera to the pairs. For clean+noisy pairs the
             curve and matrix that take the clean picture to its sensor are fitted, and the sensor's noise,
             unless the camera has noise of its own.
         recipe: the simulator of clean+noisy pairs, encoded sRGB to encoded sRGB with a mosaic and its
@@ -94,16 +101,18 @@ def diagnose(
     clock = time.perf_counter()
     if camera is not None and recipe is not None:
         raise InputError("give a camera or a recipe, not both: each is a whole simulator")
-    if isinstance(recipe, Mixture):
+    given = None if camera is None else find_recipe(camera)
+    simulator = None if recipe is None else find_degradation(recipe)
+    if isinstance(simulator, Mixture):
         raise InputError(
-            f"a mixture ({recipe.name}) is several cameras, a diagnosis is of one: give one of its recipes"
+            f"a mixture ({simulator.name}) is several cameras, a diagnosis is of one: give one of its recipes"
         )
     data = open_dataset(dataset)
-    _check_kind(dataset, data.kind, camera, recipe, downstream)
-    others = None if reference is None else _opened_reference(reference, data.kind, camera, recipe)
+    _check_kind(dataset, data.kind, given, simulator, downstream)
+    others = None if reference is None else _opened_reference(reference, data.kind, given, simulator)
     aligned = aligned_pairs(data)
     criteria = CRITERIA[data.kind] if criteria is None else criteria
-    case = _with_base(data.kind, aligned, camera, recipe, others, exclude, criteria, seed, tick)
+    case = _with_base(data.kind, aligned, given, simulator, others, several(exclude), criteria, seed, tick)
     give_back()
     gap = case.gap()
     pictures = example(case, case.point, "before")

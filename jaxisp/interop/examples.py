@@ -8,7 +8,7 @@ from PIL import Image
 
 from jaxisp.errors import InputError
 from jaxisp.interop.process import MULTIPLE, Degrader
-from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike
 
 
 class DegradeExamples(Degrader):
@@ -17,7 +17,7 @@ class DegradeExamples(Degrader):
     The picture of row i depends on the seed and on i alone, whatever the batch size.
 
     Args:
-        recipe: takes and gives encoded sRGB.
+        recipe: as that of `IspModel`.
         image: the column of clean pictures: PIL pictures, or arrays of 8 bits or of floats in [0, 1].
         noisy: the column to write: PIL pictures of 8 bits.
         seed, multiple: as those of `IspModel`.
@@ -25,7 +25,7 @@ class DegradeExamples(Degrader):
 
     def __init__(
         self,
-        recipe: Recipe,
+        recipe: RecipeLike,
         *,
         image: str = "image",
         noisy: str = "noisy",
@@ -35,14 +35,18 @@ class DegradeExamples(Degrader):
         super().__init__(recipe, seed, multiple)
         self.image, self.noisy = image, noisy
 
-    def __call__(self, examples: dict[str, list[Any]], indices: list[int]) -> dict[str, list[Image.Image]]:
+    def __call__(
+        self, examples: dict[str, list[Any]], indices: list[int] | None = None
+    ) -> dict[str, list[Image.Image]]:
         """The noisy column of some rows.
 
         Raises:
-            InputError: no such column, or a row that holds no picture.
+            InputError: no such column, a row that holds no picture, or it was mapped otherwise than above.
         """
         if self.image not in examples:
             raise InputError(f"the data set has no column {self.image!r}; it has {sorted(examples)}")
+        if not isinstance(examples[self.image], list) or not isinstance(indices, list):
+            raise InputError("give map(..., batched=True, with_indices=True): what is drawn goes by the row")
         pictures = [_floats(p, self.image, i) for p, i in zip(examples[self.image], indices)]
         out: list[Any] = [None] * len(pictures)
         for shape in dict.fromkeys(p.shape for p in pictures):

@@ -9,7 +9,9 @@ import jax
 import numpy as np
 
 from jaxisp.errors import InputError
-from jaxisp.recipe import Recipe, check_photographs
+from jaxisp.mixture import Degradation, parts
+from jaxisp.recipe import check_photographs
+from jaxisp.recipes import RecipeLike, find_degradation, read_degradation
 
 MULTIPLE = 32
 """Sizes are filled up to multiples of it [px]: each size is a compiled program of its own."""
@@ -21,31 +23,34 @@ class Degrader:
     """A recipe that counts its pictures; picklable, and safe where workers are started by spawn.
 
     Args:
-        recipe: takes and gives encoded sRGB.
+        recipe: takes and gives encoded sRGB: a recipe, a mixture, a chain, a name, or a TOML file.
         seed: of everything that is drawn.
         multiple: what sizes are filled up to, by reflection, before a recipe runs.
 
     Raises:
-        InputError: the recipe is not for photographs, or there is no such multiple.
+        InputError: there is no such recipe, it is not for photographs, or there is no such multiple.
     """
 
-    def __init__(self, recipe: Recipe, seed: int = 0, multiple: int = MULTIPLE) -> None:
-        if isinstance(recipe, Recipe):
-            check_photographs(recipe)
+    def __init__(self, recipe: RecipeLike, seed: int = 0, multiple: int = MULTIPLE) -> None:
+        found = find_degradation(recipe)
+        for part in parts(found):
+            check_photographs(part)
         if multiple < 1:
             raise InputError(f"multiple = {multiple}: sizes cannot be filled up to that")
-        self.recipe, self.seed, self.multiple = recipe, seed, multiple
+        self.recipe: Degradation = found
+        self.seed, self.multiple = seed, multiple
 
     def __getstate__(self) -> dict[str, Any]:
         """The recipe as TOML where all its stages are of the package: fingerprints of data sets stay."""
-        if all(s.fn.__module__.startswith("jaxisp.") for s in self.recipe.chain.stages()):
+        stages = (s for part in parts(self.recipe) for s in part.chain.stages())
+        if all(s.fn.__module__.startswith("jaxisp.") for s in stages):
             return {**vars(self), "recipe": self.recipe.to_toml()}
         return dict(vars(self))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if isinstance(state["recipe"], str):
-            self.recipe = Recipe.from_toml(state["recipe"])
+            self.recipe = read_degradation(state["recipe"])
 
     def key(self, stream: int = 0) -> jax.Array:
         """The root key of a stream of pictures.
@@ -56,7 +61,7 @@ class Degrader:
         if os.getpid() != _PROCESS:
             raise InputError(
                 "this process was forked from one that has JAX, where a recipe may hang: start workers with "
-                "multiprocessing_context='spawn', or degrade in the main process"
+                "multiprocessing_context='spawn', or degrade in the main process (without num_proc)"
             )
         return jax.random.fold_in(jax.random.key(self.seed), stream)
 

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset, get_worker_in
 from jaxisp.data import Batches, CleanPatches
 from jaxisp.data.sources import degrade_key
 from jaxisp.errors import InputError
-from jaxisp.mixture import Degradation
+from jaxisp.recipes import RecipeLike, find_degradation
 
 Pair = tuple[torch.Tensor, torch.Tensor]
 
@@ -50,12 +50,12 @@ class DegradedBatches(IterableDataset):  # type: ignore[misc, type-arg, unused-i
 
     Args:
         source: clean patches by global index.
-        recipe: takes and gives encoded sRGB.
+        recipe: takes and gives encoded sRGB: a recipe, a mixture, a chain, a name, or a TOML file.
         **options: those of `jaxisp.data.Batches`: batch, seed, start, ahead, mesh.
     """
 
-    def __init__(self, source: CleanPatches, recipe: Degradation, **options: Any) -> None:
-        self.source, self.recipe, self.options = source, recipe, options
+    def __init__(self, source: CleanPatches, recipe: RecipeLike, **options: Any) -> None:
+        self.source, self.recipe, self.options = source, find_degradation(recipe), options
 
     def __iter__(self) -> Iterator[Pair]:
         if get_worker_info() is not None:
@@ -97,22 +97,20 @@ def loader(dataset: CleanDataset, **options: Any) -> Any:
     return DataLoader(dataset, **options)
 
 
-def degraded(
-    batches: Iterable[dict[str, torch.Tensor]], recipe: Degradation, seed: int = 0
-) -> Iterator[Pair]:
+def degraded(batches: Iterable[dict[str, torch.Tensor]], recipe: RecipeLike, seed: int = 0) -> Iterator[Pair]:
     """(noisy, clean) of each batch of a loader of `CleanDataset`, degraded in this process.
 
     Sample i has the bits that `jaxisp.data.Batches` gives for that index, in whatever order they come.
 
     Args:
         batches: dicts of "clean" (N, 3, H, W) and "index" (N,).
-        recipe: takes and gives encoded sRGB.
+        recipe: as that of `DegradedBatches`.
         seed: of the degradation.
 
     Yields:
         tensors (N, 3, H, W) float32 on JAX's device.
     """
-    key = degrade_key(seed)
+    key, recipe = degrade_key(seed), find_degradation(recipe)
     for batch in batches:
         indices = np.asarray(batch["index"], np.int32)
         noisy, clean, _ = recipe.degrade(key, from_torch(batch["clean"]), indices)

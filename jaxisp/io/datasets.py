@@ -15,6 +15,7 @@ from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.orientation import orient, unorient
 from jaxisp.io.raw import RAW_SUFFIXES, Raw, read_raw
 from jaxisp.io.settings import Settings, SettingsFile, scene_and_frame
+from jaxisp.shown import brief
 
 RAW_JPEG, CLEAN_NOISY, JPEG_JPEG = "raw+jpeg", "clean+noisy", "jpeg+jpeg"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
@@ -22,7 +23,7 @@ _CLEAN_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 _NOISY_SUFFIXES = (".png", ".npy", ".jpg", ".jpeg")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Loaded:
     """A pair in memory.
 
@@ -36,6 +37,8 @@ class Loaded:
         clean_file: the file that the clean picture came from with its tables, where it is a JPEG that is
             encoded as a picture is; else None.
     """
+
+    __repr__ = brief
 
     name: str
     picture: np.ndarray
@@ -96,9 +99,11 @@ class Pair:
         return read_jpeg(self.output) if self.output.suffix.lower() in _JPEG_SUFFIXES else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Dataset:
     """The pairs of a folder, and the files in it that make no pair with the reason."""
+
+    __repr__ = brief
 
     folder: Path
     kind: str

@@ -171,9 +171,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def short(value: Any) -> str:
-    """A value from a file as it may stand in one line of an error."""
+    """A value as it may stand in one line of an error."""
     try:
-        text = repr(value)
+        text = " ".join(repr(value).split())
     except RecursionError:
         text = "tables nested too deeply"
     return text if len(text) < 120 else text[:120] + "..."

@@ -20,12 +20,13 @@ from jaxisp.io.orientation import orient
 from jaxisp.io.silence import silent_libraries
 from jaxisp.io.stated_color import StatedColor, stated_space
 from jaxisp.jpeg.tables import quality_tables
+from jaxisp.shown import brief
 
 _UNSUPPORTED = {0xC3: "lossless", 0xC5: "hierarchical", 0xC6: "hierarchical", 0xC7: "hierarchical",
                 0xCB: "lossless"}  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Jpeg:
     """A decoded JPEG file.
 
@@ -40,6 +41,8 @@ class Jpeg:
         iso: None where it is not stated.
         space: what the pixels were converted from; None of sRGB, and of profiles made of tables.
     """
+
+    __repr__ = brief
 
     pixels: np.ndarray
     tables: np.ndarray

@@ -33,6 +33,7 @@ from jaxisp.io.libraw import (
 from jaxisp.io.opcodes import FixVignetteRadial, GainMap, Opcode, WarpRectilinear, shading_gain
 from jaxisp.io.quad import Filters, binned, reduced, remosaicked
 from jaxisp.io.settings import SettingsFile
+from jaxisp.shown import brief
 
 RAW_SUFFIXES = (
     ".dng", ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos",
@@ -41,7 +42,7 @@ RAW_SUFFIXES = (
 _FLIP_TO_EXIF = {0: 1, 3: 3, 5: 8, 6: 6}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Raw:
     """A RAW picture, cut to the camera's own crop.
 
@@ -66,6 +67,8 @@ class Raw:
         scale: rows and columns of the rendered picture for each of `mosaic`: (1, 1) where pixels are square.
         notes: a line on each thing that the file states and that is not applied, or not as it is stated.
     """
+
+    __repr__ = brief
 
     path: Path
     mosaic: np.ndarray

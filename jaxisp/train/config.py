@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import tomli_w
 
+from jaxisp.checks import several
 from jaxisp.errors import InputError
 from jaxisp.io.digests import sealed_toml
 from jaxisp.io.files import read_toml, short, write_text
@@ -26,7 +27,7 @@ class TrainConfig:
     """A training run.
 
     Args:
-        clean: folders of clean photographs.
+        clean: folders of clean photographs, or one.
         recipe: the name of the recipe, or a mixture, as "phone=0.8,clean=0.2"; its text stands in the run's
             recipe.toml.
         phases: where a built-in recipe has a mosaic, it begins at any photosite of its pattern's cell, drawn
@@ -94,6 +95,14 @@ class TrainConfig:
     keep: int = 2
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "clean", tuple(map(str, several(self.clean))))
+        if isinstance(self.recipe, Path):
+            object.__setattr__(self, "recipe", str(self.recipe))
+        if not isinstance(self.recipe, str):
+            raise InputError(
+                f"recipe = {short(self.recipe)}: expected a name or a TOML file; "
+                "train(config, run, recipe=...) takes recipes and mixtures themselves"
+            )
         for field, choices in _CHOICES.items():
             if getattr(self, field) not in choices:
                 raise InputError(f"{field} = {getattr(self, field)!r}: expected one of {', '.join(choices)}")

@@ -10,6 +10,7 @@ from jaxisp.catalogue import group_of
 from jaxisp.data.loader import degrader
 from jaxisp.mixture import Degradation, Mixture
 from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_degradation
 
 TARGETS = ("photo", "camera")
 _OF_NOISE = ("noise", "denoise", "file")
@@ -18,15 +19,16 @@ Pairs = Callable[[jax.Array, Any], tuple[jax.Array, jax.Array]]
 """`(clean, indices) -> (noisy, target)`."""
 
 
-def without_noise(recipe: Degradation) -> Degradation:
+def without_noise(recipe: RecipeLike) -> Degradation:
     """The recipe, or each of a mixture, less noise, denoising, compression and rounding.
 
     For the same key and index it draws what the recipe draws, and so gives the picture that the same camera
     would have taken: its sharpness, colour and tone.
     """
-    if isinstance(recipe, Mixture):
-        return Mixture({name: _less_noise(own) for name, own in recipe.recipes.items()}, recipe.shares)
-    return _less_noise(recipe)
+    found = find_degradation(recipe)
+    if isinstance(found, Mixture):
+        return Mixture({name: _less_noise(own) for name, own in found.recipes.items()}, found.shares)
+    return _less_noise(found)
 
 
 def _less_noise(recipe: Recipe) -> Recipe:
@@ -34,7 +36,7 @@ def _less_noise(recipe: Recipe) -> Recipe:
     return recipe.without(*names) if names else recipe
 
 
-def pair_maker(recipe: Degradation, key: jax.Array, target: str = "photo", mesh: Mesh | None = None) -> Pairs:
+def pair_maker(recipe: RecipeLike, key: jax.Array, target: str = "photo", mesh: Mesh | None = None) -> Pairs:
     """`(clean, indices) -> (noisy, target)`, each sample by its index alone.
 
     Args:

@@ -20,7 +20,8 @@ from jaxisp.errors import InputError
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, check_runs
 from jaxisp.models import count_parameters, load_weights, make_model
-from jaxisp.recipes import find_degradation
+from jaxisp.recipes import RecipeLike, find_degradation
+from jaxisp.shown import brief
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread, spread_pairs
@@ -37,7 +38,7 @@ Metrics = Callable[[int, dict[str, float]], Any]
 """`metrics(step, values)`: how a step or a validation went, for a logger of the user's own."""
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(repr=False)
 class TrainResult:
     """What a run came to.
 
@@ -51,6 +52,8 @@ class TrainResult:
         skipped: (file, reason) of photographs that could not be used.
         state: after the last step.
     """
+
+    __repr__ = brief
 
     run: Path
     step: int
@@ -76,7 +79,7 @@ def train(
     config: TrainConfig,
     run: str | Path,
     *,
-    recipe: Degradation | None = None,
+    recipe: RecipeLike | None = None,
     resume: bool = False,
     tick: Tick = lambda done, total, text: None,
     metrics: Metrics = lambda step, values: None,
@@ -90,7 +93,8 @@ def train(
     Args:
         config: everything but the place.
         run: a folder for checkpoints, log and model card; with several processes, one that all share.
-        recipe: the recipe or mixture that `config.recipe` names, used as it is; looked up unless given.
+        recipe: what `config.recipe` names, as a recipe, a mixture, a chain, a name or a TOML file, used as it
+            is; looked up unless given.
         resume: go on from the last checkpoint in the folder (from the start where there is none).
         tick: called with (done, total, text).
         metrics: called with (step, values), in the order of the steps and by process 0 alone. Each step has
@@ -104,13 +108,16 @@ def train(
             longer finite.
     """
     run = Path(run)
-    recipe = recipe or find_degradation(config.recipe, phases=config.phases)
-    check_runs(recipe)
+    if recipe is None:
+        asked = find_degradation(config.recipe, phases=config.phases)
+    else:
+        asked = find_degradation(recipe)
+    check_runs(asked)
     lead = jax.process_index() == 0
     with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
         if lead:
-            check_folder(run, config, recipe, resume=resume)
-        return _Run(config, run, recipe, lead, signals, tick, metrics).train()
+            check_folder(run, config, asked, resume=resume)
+        return _Run(config, run, asked, lead, signals, tick, metrics).train()
 
 
 class _Run:

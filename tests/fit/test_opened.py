@@ -1,6 +1,8 @@
 """A fit that starts from a camera, holds parameters and fits a stage of the user's own."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.fit import fit_examples, model, prior_from_cameras
+from jaxisp.fit.sharing import GROUPS
 from jaxisp.pipeline import stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import phone
-from jaxisp.stages.balance import Saturation
+from jaxisp.stages.balance import HueRotation, Saturation
 from tests.fit.conftest import example
 
 HELD = ("tone", "colour", "bilateral", "unsharp_mask", "vignetting", "lateral_chromatic_aberration",
@@ -52,6 +55,42 @@ def test_a_camera_gives_its_choices_and_parameters():
         model.of_camera(phone())
 
 
+def test_a_start_brings_the_stages_that_were_inserted():
+    inserted = (
+        *map(model.insertion, ("hue_rotation", "black_level")),
+        model.insertion("highlight_rolloff@saturation"),
+    )
+    whole = model.camera("RGGB", model.Design(inserted=inserted))
+    meta = {"inserted": [node.name for node, _ in inserted]}
+    camera = Recipe(whole, {"hue_rotation": HueRotation(angle=20.0)}, meta=meta)
+    found = model.inserted_in(camera)
+    assert model.camera("RGGB", model.Design(inserted=found)) == whole and set(found) == set(inserted)
+    _, params = model.of_camera(camera, found)
+    assert float(params["hue_rotation"].angle) == 20 and "highlight_rolloff" in params
+    with pytest.raises(InputError, match="no RAW"):  # all names are known
+        fit_examples([], start=camera, freeze="hue_rotation", per_image="highlight_rolloff.white")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"freeze": "bilatral"}, "is it bilateral"),
+        ({"freeze": [3]}, "no fitted parameter is named 3; there are tone, colour, "),
+        ({"freeze": "tone", "per_image": ["s_curve"]}, r"at once: s_curve.midpoint, s_curve.strength"),
+        ({"start": "phone"}, "'phone' is no camera from `jaxisp fit`"),
+        ({"insert": "clip"}, "clip is in the camera already"),
+        ({"insert": ["hue_rotation", "hue_rotation"]}, "one stage twice"),
+        ({"insert": [3]}, "names of stages, or stages, got 3"),
+        ({"insert": stage("median")}, "median reads other pixels.*; there are .*hue_rotation"),
+        ({"demosaic": "demosaic_adh"}, "no demosaicker; is it .*demosaic_ahd"),
+    ],
+    ids=str,
+)
+def test_wrong_options_are_refused_before_a_fit(options, words):
+    with pytest.raises(InputError, match=words):
+        fit_examples([], **options)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -76,3 +115,12 @@ def test_help_says_how_files_are_named(capsys):
         main(["fit", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     assert "NAME.dng" in text and "dataset.toml" in text and "--freeze NAMES" in text
+
+
+def test_the_page_names_what_can_be_frozen_and_inserted():
+    rows = (Path(__file__).parents[2] / "docs" / "fitting.md").read_text().splitlines()
+    frozen, inserted = (next(r for r in rows if r.startswith(f"| `--{o}`")) for o in ("freeze", "insert"))
+    named = set(re.findall(r"`(\w+)`", inserted.split("|")[2])) - {"highlight_rolloff@saturation"}
+    assert named == set(model.insertable())
+    hidden = {"denoise_encoding", "denoise_decoding"}  # of the method
+    assert set(re.findall(r"`(\w+)`", frozen.split("|")[2])) == {*model.start(), *GROUPS} - hidden

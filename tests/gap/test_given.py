@@ -105,6 +105,7 @@ def test_constant_switches_and_orders_are_followed():
     ("recipe", "message"),
     [
         (find_recipe("awgn"), "0 stages that make a mosaic"),
+        (find_recipe("unprocessing"), "its mosaic within 'unprocessed'"),
         (simulator(end=("clip",)), "into camera RGB"),
         (simulator(start=()), "needs encoded sRGB into encoded sRGB"),
         (simulator(Gate(stage("median")), prior={"use_median": Switch(on=Bernoulli(0.5))}), "at random"),

@@ -104,6 +104,21 @@ def test_examples_depend_on_their_index_alone():
         DegradeExamples(awgn(), image="picture")({"image": pictures}, [0])
     with pytest.raises(InputError, match="row 7"):
         function({"image": [np.zeros((4, 4))]}, [7])
+    for wrong in (({"image": pictures},), ({"image": pictures[0]}, 0)):
+        with pytest.raises(InputError, match="batched=True, with_indices=True"):
+            function(*wrong)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*")
+def test_hugging_face_refuses_other_calls_in_words():
+    datasets = pytest.importorskip("datasets")
+    pictures = [Image.fromarray(np.zeros((8, 8, 3), np.uint8))] * 4
+    dataset = datasets.Dataset.from_dict({"image": pictures}).cast_column("image", datasets.Image())
+    for options in ({"batched": True}, {"with_indices": True}):
+        with pytest.raises(InputError, match="batched=True, with_indices=True"):
+            dataset.map(DegradeExamples("awgn"), **options)
+    with pytest.raises(InputError, match="without num_proc"):
+        dataset.map(DegradeExamples("awgn"), batched=True, with_indices=True, num_proc=2)
 
 
 def test_hugging_face_maps_it():

@@ -19,6 +19,7 @@ from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Params, Row, Shuffle, Stage
 from jaxisp.priors import is_distribution
 from jaxisp.recipe import Recipe
+from jaxisp.unprocess import Unprocessed
 
 
 def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
@@ -47,6 +48,11 @@ def flat_nodes(nodes: Sequence[Node], recipe: Recipe) -> Iterator[Node]:
                 yield inner if cfa is None else with_cfa(inner, shifted(str(cfa), *start))
         elif isinstance(node, Row):
             yield from flat_nodes(node.nodes, recipe)
+        elif isinstance(node, Unprocessed):
+            raise InputError(
+                f"recipe {recipe.name!r} has its mosaic within {node.name!r}, whose colours a diagnosis does "
+                "not take apart; give a recipe whose mosaic stands by itself, as `phone` or `darmstadt`"
+            )
         else:
             yield node
 
