@@ -112,7 +112,7 @@ class LevelNet(nnx.Module):
     def objective(
         self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
     ) -> jax.Array:
-        """The loss: one in four pictures of a batch is denoised with its true map, the others with the estimate.
+        """The loss: one in four pictures of a batch is denoised with its true map, the others by estimate.
 
         The estimate is to be near the true map (in ratios) and nothing else: made to denoise well, it becomes
         too small, and the network blind to it.
