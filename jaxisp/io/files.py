@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 import stat
+import sys
 import tempfile
 import tomllib
 import warnings
@@ -54,10 +55,19 @@ def sound_path(path: PathLike) -> Path:
     try:
         text = str(path).encode()
     except UnicodeEncodeError as error:
-        raise InputError(f"{path}: its name is not UTF-8; rename it") from error
+        raise InputError(f"{path}: {_unnamable(path)}") from error
     if b"\0" in text:
         raise InputError(f"{path}: has a NUL in its name, which no file can have")
     return path
+
+
+def _unnamable(path: Path) -> str:
+    """Why a path is no text."""
+    try:
+        os.fsencode(path).decode()
+    except UnicodeError:
+        return "its name is not UTF-8; rename it"
+    return f"its name is not {sys.getfilesystemencoding()}, which this locale has; set LC_ALL=C.UTF-8"
 
 
 def kind_of(mode: int) -> str:

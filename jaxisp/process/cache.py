@@ -53,13 +53,14 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
+    # a process that was killed while it wrote one leaves it cut short: it is compiled again; as all are where
+    # the folder cannot be used
+    warnings.filterwarnings("ignore", "Error (read|writ)ing persistent compilation cache entry", UserWarning)
     if already := jax.config.values["jax_compilation_cache_dir"]:
         return Path(already)
     found = cache_folder() if folder is None else Path(folder)
     if found is None or not _writable(found):
         return None
-    # a process that was killed while it wrote one leaves it cut short: it is compiled again
-    warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry", UserWarning)
     jax.config.update("jax_compilation_cache_dir", str(found))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
     return found
