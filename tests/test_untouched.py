@@ -10,10 +10,12 @@ import pytest
 
 from jaxisp.camera import standard_camera
 from jaxisp.cli import main
+from jaxisp.data.catalogue import SETS, SUMS, RemoteFile
 from jaxisp.io import write_png
 from jaxisp.samples import PHONES, scenes, write_pairs
 from jaxisp.testing import smooth_image
 from tests.calibrate import sensor
+from tests.data.test_catalogue import SHA, public, server  # noqa: F401
 from tests.io.test_files import special_files
 
 TRAIN = (
@@ -194,3 +196,49 @@ def test_no_result_replaces_an_input(inputs, capsys):
         assert main(command.split()) == 2
         assert unchanged(before, inputs) == {} and "is an input" in capsys.readouterr().err
         (inputs / "pairs" / "dataset.toml").unlink()
+
+
+@pytest.fixture
+def fetching(inputs, server, monkeypatch):  # noqa: F811
+    """A set of one file on a server of this machine, and the folder of all sets."""
+    clear(inputs)
+    monkeypatch.setenv("JAXISP_DATA", "out")
+    monkeypatch.setitem(SETS, "kodak", public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    return inputs
+
+
+def test_what_stands_beside_a_set_that_is_fetched(fetching, capsys):
+    out = fetching / "out"
+    (out / "others").mkdir()
+    special_files(out / "others")
+    (out / "small").mkdir()  # empty, where the set comes to be
+    for name in ("polyu.zip", f"{SUMS}.tmp", f".{SUMS}.tmp", "others/a.bin"):
+        (out / name).write_bytes(b"mine")
+    (out / SUMS).write_text(f'{{"https://example.org/other": "{SHA}"}}')
+    before = everything(fetching)
+    assert main(["data", "fetch", "kodak"]) == 0, capsys.readouterr().err
+    assert unchanged(before, fetching, (f"out/{SUMS}",)) == {} and SHA in (out / SUMS).read_text()
+    new = everything(fetching).keys() - before.keys()
+    assert new == {"out/small/a.bin", "out/small/SOURCE.json"}
+    before = everything(fetching)
+    assert main(["data", "fetch", "kodak"]) == 0 and everything(fetching) == before
+
+
+@pytest.mark.parametrize("name", ["small", SUMS, ".small.lock", ".small.partial", f".{SUMS}.lock"])
+def test_no_link_or_device_is_followed_or_replaced_by_fetching(fetching, capsys, name):
+    (fetching / "mine").mkdir(exist_ok=True)
+    for special in (*special_files(fetching / "out"), "to a folder"):
+        if special == "to a folder":
+            (fetching / "out" / name).symlink_to(fetching / "mine")
+        else:
+            os.rename(fetching / "out" / special, fetching / "out" / name)
+        before = everything(fetching)
+        assert main(["data", "fetch", "kodak"]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert name in told[-1] and "Traceback" not in told[-1] and len(told) == 3
+        now = everything(fetching)
+        assert unchanged(before, fetching) == {}
+        assert all(
+            path.startswith(("out/.small.partial", "out/.small.lock")) for path in now.keys() - before.keys()
+        )
+        (fetching / "out" / name).unlink()

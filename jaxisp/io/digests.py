@@ -99,7 +99,7 @@ def note_files(folder: Path, name: str) -> None:
 def noted_files(folder: Path, name: str) -> dict[str, str]:
     """The digests that `note_files` wrote, by relative path. InputError where they are missing or damaged."""
     files = parse_json(read_sealed(folder / name), str(folder / name)).get("files")
-    if not isinstance(files, dict):
+    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
         raise InputError(f"{folder / name}: holds no digests of files")
     return files
 
