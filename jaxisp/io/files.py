@@ -79,6 +79,11 @@ def kind_of(mode: int) -> str:
     return "" if stat.S_ISREG(mode) else kinds.get(stat.S_IFMT(mode), "no plain file")
 
 
+def leads_nowhere(path: PathLike) -> bool:
+    """Whether a path is a link, at the end of which nothing is."""
+    return os.path.islink(path) and not os.path.exists(path)
+
+
 def open_input(path: PathLike) -> io.BufferedReader:
     """Open a plain file to be read: what all inputs are opened by.
 
@@ -349,6 +354,8 @@ def _remove(path: Path | None) -> None:
 def output_folder(path: PathLike) -> Path:
     """Make a folder (and those above it); InputError where nothing can be written into it."""
     path = sound_path(path)
+    if leads_nowhere(path):
+        raise InputError(f"{path}: cannot be written: is a link that leads nowhere")
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
@@ -411,6 +418,7 @@ def list_folder(folder: PathLike) -> list[Path]:
     folder = sound_path(folder)
     if not os.path.isdir(folder):
         what = "is a file" if os.path.lexists(folder) else "no such folder"
+        what = "is a link that leads nowhere" if leads_nowhere(folder) else what
         raise InputError(f"{folder}: {what}, expected a folder")
     files, closed = _walk(folder, recursive=False)
     for error in closed:
