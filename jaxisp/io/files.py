@@ -119,6 +119,24 @@ def _reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
 
 
+def file_state(path: PathLike) -> tuple[int, ...]:
+    """What changes with a file: its size [bytes] and its time [ns]; InputError where it is gone."""
+    path = sound_path(path)
+    with _reading(path):
+        status = os.stat(path)
+    return status.st_size, status.st_mtime_ns
+
+
+@contextlib.contextmanager
+def steady(path: Path) -> Iterator[None]:
+    """For what reads a file in several parts: InputError where it goes or changes meanwhile."""
+    before = file_state(path)
+    with _reading(path):
+        yield
+    if file_state(path) != before:
+        raise InputError(f"{path}: changed while it was read")
+
+
 def check_file(path: PathLike) -> Path:
     """Return the path; raise InputError where it is no readable plain file with something in it."""
     path = Path(path)
@@ -211,7 +229,9 @@ def load_npy(path: PathLike) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's note on headers of Python 2
-            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+            np.load(path, mmap_mode="r", allow_pickle=False)  # the file has the bytes that its header says
+            # read, not copied from the map: a file that is cut meanwhile would end the process
+            return np.load(path, allow_pickle=False)
     except Exception as error:  # its header is parsed as Python, which fails in many ways
         raise InputError(f"{path}: is a damaged or truncated NumPy file ({one_line(error)})") from error
 
