@@ -10,8 +10,10 @@ import pytest
 
 from jaxisp.camera import standard_camera
 from jaxisp.cli import main
+from jaxisp.data import shards
 from jaxisp.data.catalogue import SETS, SUMS, RemoteFile
 from jaxisp.io import write_png
+from jaxisp.io.locks import locked
 from jaxisp.samples import PHONES, scenes, write_pairs
 from jaxisp.testing import smooth_image
 from tests.calibrate import sensor
@@ -242,3 +244,55 @@ def test_no_link_or_device_is_followed_or_replaced_by_fetching(fetching, capsys,
             path.startswith(("out/.small.partial", "out/.small.lock")) for path in now.keys() - before.keys()
         )
         (fetching / "out" / name).unlink()
+
+
+TAKEN = {  # the lock of each command in its output folder
+    "demo": ".lock",
+    "fit": ".camera.toml.partial.lock",
+    "fit's report": ".report.lock",
+    "degrade": ".lock",
+    "shards": ".shard-00000-of-00001.lock",
+    "train": ".lock",
+    "denoise": ".lock",
+    "diagnose": ".lock",
+}
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_of_two_that_write_into_one_folder_the_second_is_refused(inputs, name, capsys):
+    clear(inputs)
+    with locked("out", name=TAKEN[name]):
+        before = everything(inputs)
+        status = main(COMMANDS[name.removesuffix("'s report")][0].split())
+        told = capsys.readouterr().err
+        assert (status, told.count("\n")) == (2, 1) and "out: another process is " in told
+        new = everything(inputs).keys() - before.keys()
+        assert unchanged(before, inputs) == {} and new <= {"out/manifest.json", "out/recipe.toml"}
+
+
+@pytest.mark.parametrize("how", ["gone", "anew", "a file"])
+@pytest.mark.parametrize("name", ["degrade", "shards", "denoise"])
+def test_a_folder_that_is_removed_while_it_is_written_is_one_error(inputs, name, how, capsys, monkeypatch):
+    clear(inputs)
+
+    def remove(path, *arguments, written=write_png, **options):
+        written(path, *arguments, **options)
+        disturb()
+
+    def disturb():
+        shutil.rmtree(inputs / "out")
+        if how == "anew":
+            (inputs / "out").mkdir()
+        elif how == "a file":
+            (inputs / "out").write_bytes(b"mine")
+
+    for module in ("jaxisp.generate", "jaxisp.models.apply"):
+        monkeypatch.setattr(f"{module}.write_png", remove)
+    encoded = shards.encode_record
+    monkeypatch.setattr(shards, "encode_record", lambda made: (disturb(), encoded(made))[1])
+    status = main(COMMANDS[name][0].split())
+    told = capsys.readouterr().err
+    assert (status, told.count("\n")) == (2, 1) and "jaxisp: out" in told
+    if how == "a file":
+        assert (inputs / "out").read_bytes() == b"mine"
+        (inputs / "out").unlink()
