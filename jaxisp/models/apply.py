@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from jaxisp.io.images import read_as_stored, write_png
 from jaxisp.io.locks import locked
 from jaxisp.models import read_network
 from jaxisp.models.inference import denoise
+from jaxisp.process.memory import forget_beyond
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 SHIPPED = "general.npz"
@@ -70,7 +71,8 @@ def denoise_files(
     """Write OUT/STEM.png for each picture, or one picture as OUT where that ends in `.png`.
 
     JPEGs and PNGs are denoised in their own colour space and as they lie; their EXIF and their colour profile
-    go with them. Others are written upright in sRGB.
+    go with them. Others are written upright in sRGB. After some sizes the programs of all are forgotten, those
+    of others in the process too: see `forget_compiled`.
 
     Args:
         denoiser: of encoded pictures.
@@ -95,6 +97,7 @@ def denoise_files(
     out, given, clock = output_folder(out), real_paths(paths), time.perf_counter()
     done: dict[str, Path] = {}
     failed: list[tuple[str, str]] = []
+    sizes: set[Hashable] = set()
     # a single file is written at once: nobody else's can come between
     with contextlib.nullcontext() if name else locked(out):
         for path in paths:
@@ -104,6 +107,7 @@ def denoise_files(
             except InputError as error:
                 failed.append((str(path), str(error)))
                 continue
+            forget_beyond(sizes, picture.shape)
             # a tile that is too small is so for all: not caught
             denoised = denoiser(picture, tile=tile, strength=strength)
             if np.isnan(denoised).any():
