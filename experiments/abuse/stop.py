@@ -212,7 +212,12 @@ def main() -> None:
     for times in range(step, arguments.times + step, step):  # all commands a little, then all again
         for name in names:
             if time.monotonic() < until and len(Runs(arguments.state, name).all()) < times:
-                campaign(name, min(times, arguments.times), arguments.state, arguments.state / "data", until)
+                try:
+                    campaign(
+                        name, min(times, arguments.times), arguments.state, arguments.state / "data", until
+                    )
+                except RuntimeError as error:  # of an undisturbed run: the others can still be tried
+                    print(error, flush=True)
     print(table(arguments.state))
 
 
