@@ -71,8 +71,8 @@ def denoise_files(
     """Write OUT/STEM.png for each picture, or one picture as OUT where that ends in `.png`.
 
     JPEGs and PNGs are denoised in their own colour space and as they lie; their EXIF and their colour profile
-    go with them. Others are written upright in sRGB. After some sizes the programs of all are forgotten, those
-    of others in the process too: see `forget_compiled`.
+    go with them. Others are written upright in sRGB. After some sizes the programs of all are forgotten,
+    those of others in the process too: see `forget_compiled`.
 
     Args:
         denoiser: of encoded pictures.
