@@ -162,9 +162,15 @@ SETS = {
 
 
 def data_folder() -> Path:
-    """Where the sets are on this machine."""
-    chosen = os.environ.get(SWITCH)
-    return Path(chosen).expanduser() if chosen else user_cache() / "data"
+    """Where the sets are on this machine. InputError where no place is named and the user has no home."""
+    if chosen := os.environ.get(SWITCH):
+        try:
+            return Path(chosen).expanduser()
+        except RuntimeError as error:
+            raise InputError(f"{SWITCH}={chosen}: there is no such home") from error
+    if cache := user_cache():
+        return cache / "data"
+    raise InputError(f"there is no home folder to keep data sets in: set {SWITCH} to a folder")
 
 
 def is_fetched(name: str) -> bool:

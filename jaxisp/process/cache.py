@@ -17,18 +17,20 @@ SHORTEST = 0.2
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept on this machine; None where that is switched off."""
+    """Where compiled programs are kept on this machine; None where that is switched off, or nowhere."""
     chosen = os.environ.get(SWITCH, "")
     if chosen.lower() in ("off", "0", "no", "false"):
         return None
-    return (Path(chosen) if chosen else user_cache()) / f"programs-{_processor()}"
+    base = Path(chosen) if chosen else user_cache()
+    return base / f"programs-{_processor()}" if base else None
 
 
-def user_cache() -> Path:
-    """The user's folder for what can be made or fetched again."""
+def user_cache() -> Path | None:
+    """The user's folder for what can be made or fetched again; None for a user without a home."""
     home = os.environ.get("XDG_CACHE_HOME", "")
-    # the standard has a relative path ignored
-    return (Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()) / "jaxisp"
+    if not os.path.isabs(home):  # which the standard has ignored
+        home = os.path.expanduser("~/.cache")
+    return Path(home) / "jaxisp" if os.path.isabs(home) else None
 
 
 def keep_compiled(folder: str | Path | None = None) -> Path | None:

@@ -10,7 +10,7 @@ import pytest
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.io import write_png
-from jaxisp.process import environment
+from jaxisp.process import cache, environment
 from jaxisp.testing import smooth_image
 
 
@@ -101,3 +101,18 @@ def test_the_self_check_compiles_whatever_is_set():
 
     with jax.disable_jit():
         assert measured_error() < 1e-5
+
+
+def test_a_user_without_a_home(monkeypatch, capsys):
+    """As in a container, whose user has no entry in the list of users."""
+    for name in ("HOME", "XDG_CACHE_HOME", "JAXISP_CACHE", "JAXISP_DATA"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
+    assert cache.cache_folder() is None
+    assert main(["data", "list"]) == 2
+    assert capsys.readouterr().err == (
+        "jaxisp: there is no home folder to keep data sets in: set JAXISP_DATA to a folder\n"
+    )
+    monkeypatch.setenv("JAXISP_DATA", "~nobody here/sets")
+    assert main(["data", "fetch", "kodak"]) == 2
+    assert "JAXISP_DATA=~nobody here/sets: there is no such home" in capsys.readouterr().err
