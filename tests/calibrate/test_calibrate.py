@@ -243,7 +243,15 @@ def test_frames_that_cannot_be_read_are_left_out_and_told(tmp_path, capsys):
 
 def test_a_damaged_file_is_refused(found, tmp_path):
     text = found.to_toml()
-    for wrong in (text.replace("sensor noise", "noise"), text.replace("value = ", "valve = ", 1), "x = 1"):
+    black = f"black = {found.noise[0].black}"
+    numbers = [text.replace(black, f"black = {wrong}", 1) for wrong in ("nan", "inf", "9" * 400, '"64"')]
+    assert text not in numbers
+    for wrong in (
+        text.replace("sensor noise", "noise"),
+        text.replace("value = ", "valve = ", 1),
+        "x = 1",
+        *numbers,
+    ):
         with pytest.raises(InputError, match=r"noise\.toml"):
             Calibrated.from_toml(wrong, "noise.toml")
 
