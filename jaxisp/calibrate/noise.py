@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from jaxisp.errors import InputError
-from jaxisp.io.files import PathLike, parse_toml, read_text, short, write_text
+from jaxisp.errors import InputError, short
+from jaxisp.io.files import PathLike, parse_toml, read_text, write_text
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.data.unpack import unpack
-from jaxisp.errors import InputError
-from jaxisp.io.files import kind_of, output_folder, read_json, short, write_text, writing
+from jaxisp.errors import InputError, short
+from jaxisp.io.files import kind_of, output_folder, read_json, write_text, writing
 from jaxisp.io.locks import locked
 from jaxisp.process.cache import user_cache
 

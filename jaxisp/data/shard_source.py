@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxisp.errors import InputError, one_line
+from jaxisp.errors import InputError, one_line, short
 from jaxisp.io.digests import is_file_of, read_sealed
-from jaxisp.io.files import parse_json, read_json, short
+from jaxisp.io.files import parse_json, read_json
 from jaxisp.recipe import Recipe
 
 MANIFEST = "manifest.json"

@@ -203,15 +203,6 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: is not valid TOML: {' '.join(message.split())}") from error
 
 
-def short(value: Any) -> str:
-    """A value from a file as it may stand in one line of an error."""
-    try:
-        text = repr(value)
-    except RecursionError:
-        text = "tables nested too deeply"
-    return text if len(text) < 120 else text[:120] + "..."
-
-
 def _check_depth(table: Any, name: str) -> None:
     """Dotted keys nest without end and without recursion; what walks the tables afterwards recurses."""
     level = [table]
