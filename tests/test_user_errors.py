@@ -233,7 +233,7 @@ def test_what_a_file_holds_does_not_make_an_error_long(tmp_path):
         assert len(str(caught.value)) < 400
 
 
-@pytest.mark.parametrize("share", [10**400, "x", None, float("nan")])
+@pytest.mark.parametrize("share", [10**400, "x", None, float("nan")], ids=["large", "text", "None", "nan"])
 def test_a_share_that_is_no_number_is_one_error(share):
     with pytest.raises(InputError, match="shares of a mixture must be"):
-        Mixture((RECIPES["awgn"](), RECIPES["amwgn"]()), (share, 0.5))
+        Mixture({name: RECIPES[name]() for name in ("awgn", "amwgn")}, (share, 0.5))
