@@ -6,24 +6,30 @@ from jaxisp.io import Jpeg
 from jaxisp.io.color_space import ColorSpace
 from jaxisp.jpeg.codec import SAMPLING
 from jaxisp.params import specs
-from jaxisp.pipeline import Params, Stage, stage
+from jaxisp.pipeline import Params, Stage, run, stage
 from jaxisp.stages.jpeg import JpegTables
 from jaxisp.stages.jpeg_file import JpegFile
 
 ENCODER = "jpeg_tables"
 """The name of the node, whatever its stage: cameras and priors go by it."""
 _MOST = specs(JpegFile)["to_file"].bounds[1]
+_HELD = {True: (True, False), False: (False, True)}
+"""Whether colours are converted in 14 bits, the likelier first, of files with an ICC profile and others."""
 _WRAP, _LARGEST = 8192, 2048
 """libjpeg-turbo holds 8 times a step in 16 bits, so that it divides by a step modulo the first. Steps above
 the second leave no coefficient in any case."""
 
 
-def encoder_of(file: Jpeg | None, name: str = ENCODER) -> tuple[Stage, Params] | None:
+def encoder_of(
+    file: Jpeg | None, name: str = ENCODER, *, original: np.ndarray | None = None
+) -> tuple[Stage, Params] | None:
     """What the encoder of a file did to the picture, as far as its header tells.
 
     Args:
         file: it, or None where the picture comes from no JPEG.
         name: of the node.
+        original: (H, W, 3) encoded sRGB that the file was made of, where it is known: of two ways to convert
+            colours, between which a header does not tell, that is taken which comes nearer to the file.
 
     Returns:
         A stage and its parameters, which are set and not fitted; None where there is no file or `no_encoder`
@@ -38,14 +44,22 @@ def encoder_of(file: Jpeg | None, name: str = ENCODER) -> tuple[Stage, Params] |
         return encoder, {name: JpegTables(luma_table=tables[0], chroma_table=tables[1])}
     options = {
         "subsampling": file.subsampling, "components": file.color_space, "converts": file.converted,
-        "in_14_bits": file.icc is not None,  # who states colours in EXIF has no colour management to imitate
     }  # fmt: skip
     params = JpegFile(tables=tables)
     if file.space is not None:
         to_file, from_file = (np.asarray(m, np.float32) for m in _matrices(file.space))
         curve = np.asarray(file.space.curve_table, np.float32)
         params = JpegFile(tables=tables, curve=curve, to_file=to_file, from_file=from_file)
-    return stage("jpeg_file", name=name, **options), {name: params}
+    # who states colours in EXIF has seldom a colour management of 14 bits
+    ways = [stage("jpeg_file", name=name, in_14_bits=held, **options) for held in _HELD[file.icc is not None]]
+    if original is not None and file.space is not None and original.shape == file.pixels.shape:
+        ways.sort(key=lambda way: _distance(way, {name: params}, original, file))
+    return ways[0], {name: params}
+
+
+def _distance(encoder: Stage, params: Params, original: np.ndarray, file: Jpeg) -> float:
+    """Mean magnitude of what is left between a picture that is encoded so and the file."""
+    return float(np.abs(np.asarray(run(encoder, params, original)) - file.image).mean())
 
 
 def no_encoder(file: Jpeg) -> str | None:

@@ -12,6 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 from jaxisp.encoder import encoder_of, no_encoder
 from jaxisp.gap.objective.pixels import as_stored
 from jaxisp.io.jpeg import decode_jpeg
+from jaxisp.pipeline import run
 from jaxisp.testing import smooth_image
 from tests.io.profiles import (
     COLORANTS,
@@ -94,6 +95,34 @@ def test_it_works_in_a_space_that_exif_states_by_numbers(name):
     assert file.converted and no_encoder(file) is None
     stored = as_stored((PICTURE / 255).astype(np.float32), file)
     assert np.abs(stored * 255 - file.pixels).mean() < 0.05
+
+
+@pytest.mark.parametrize("stated", ["profile", "EXIF"])
+@pytest.mark.optimised
+def test_the_less_likely_way_to_convert_is_found_where_the_original_is_known(stated, rng):
+    """A profile that was applied in floats, and Adobe RGB of EXIF that littleCMS made, at high quality."""
+    noisy = np.clip(PICTURE + rng.normal(0, 10, PICTURE.shape), 0, 255).astype(np.uint8)
+    icc = profile("Adobe RGB (1998)", COLORANTS["Adobe RGB (1998)"], power(563 / 256))
+    if stated == "profile":
+        space = colour.RGB_COLOURSPACES["Adobe RGB (1998)"], colour.RGB_COLOURSPACES["sRGB"]
+        to_xyz = [normalised_primary_matrix(s.primaries, s.whitepoint) for s in space]
+        light = colour.models.eotf_sRGB(noisy / 255) @ np.linalg.solve(*to_xyz).T
+        own = np.rint(255 * np.clip(light, 0, 1) ** (256 / 563)).astype(np.uint8)
+        options = {"icc_profile": icc}
+    else:
+        spaces = ImageCms.createProfile("sRGB"), ImageCms.ImageCmsProfile(io.BytesIO(icc))
+        there = ImageCms.buildTransform(*spaces, "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC)
+        own = np.asarray(ImageCms.applyTransform(Image.fromarray(noisy), there))
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0xA001] = 65535
+        exif.get_ifd(0x8769)[0xA005] = {1: "R03"}
+        options = {"exif": exif}
+    file = coded(own, quality=95, subsampling="4:4:4", **options)
+    assert file.converted
+    original = (noisy / 255).astype(np.float32)
+    blind = np.asarray(run(*encoder_of(file), original))
+    off = [np.abs(stored * 255 - file.pixels).mean() for stored in (blind, as_stored(original, file))]
+    assert off[1] < 0.5 < off[0], off
 
 
 @pytest.mark.parametrize("step", [8192, 9000, 16384])

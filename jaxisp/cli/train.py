@@ -25,7 +25,7 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--weight-decay", float, "default 0"),
     ("--clip-norm", float, "largest norm of the gradient, 0 for no limit (default 1)"),
     ("--ema", float, "decay of the averaged weights, 0 for none (default 0.999)"),
-    ("--loss", str, "l1 (default), charbonnier, smooth_l1 or l2"),
+    ("--loss", str, "l1 (default), charbonnier, smooth_l1, l2 or log_rms"),
     ("--light", str, "input of the network: encoded (default) or linear"),
     ("--target", str, "what it gives: photo (default), or camera, what that would show without noise"),
     ("--pool", int, "patches that are degraded once and used in each epoch (default 0: none)"),

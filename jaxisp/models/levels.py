@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
+from jaxisp.arrays.safe_math import clip_through
 from jaxisp.color import LUMA_601
 from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuffle, pixel_unshuffle
 
 CELL = 16
 """Pixels of a side of a cell of the noise map."""
 _LEAST = 0.5 / 255  # noise below which no level is told from another
-_SHARE = 0.05  # of the error of the map in what is trained
+_GAIN = 8  # noise is small beside 1
+_SHARE = 0.5  # of the error of the map in what is trained
 
 
 class LevelNet(nnx.Module):
@@ -22,13 +24,15 @@ class LevelNet(nnx.Module):
 
     The map has the standard deviation of the noise of luma and of chroma in each cell of 16x16 px. A small
     network of its own estimates it from the picture; whoever multiplies it makes the other smooth more.
+    What is taken off is in units of the map: a picture that is nearly clean stays as it is.
 
     Args:
         channels: of the image: 3.
         features: channels at each resolution, from 1/2 down.
         depth: convolutions of the residual block at each resolution, on the way down and again on the way up;
             ReLU between them. Without the sums of the blocks the network dies within 500 steps.
-        estimator: channels of the network that estimates the map.
+        estimator: channels of the network that estimates the map: residual blocks at 1/4, whose root mean
+            squares in each cell go to a residual block of cells.
         rngs: for the initial weights.
         dtype: of the computation, bfloat16 or None (float32); weights are float32.
 
@@ -45,7 +49,7 @@ class LevelNet(nnx.Module):
         *,
         features: tuple[int, ...] = (32, 64, 96),
         depth: int = 2,
-        estimator: int = 24,
+        estimator: int = 32,
         rngs: nnx.Rngs,
         dtype: Any = None,
     ) -> None:
@@ -57,8 +61,11 @@ class LevelNet(nnx.Module):
             return nnx.List([*(make(width, width) for _ in range(depth - 1)), last])
 
         steps = list(itertools.pairwise(features))
-        self.fine = nnx.List([make(16 * channels, estimator), make(estimator, estimator)])
-        self.coarse = nnx.List([make(estimator, estimator), make(estimator, 2)])
+        self.sense = make(16 * channels, estimator)
+        self.fine = block(estimator)
+        self.weigh = make(estimator, estimator, kernel=1)
+        self.coarse = block(estimator)
+        self.levels = make(estimator, 2, kernel=1)
         self.first = make(4 * channels + 2, features[0])
         self.last = make(features[0], 4 * channels, init=NEARLY_ZERO)
         self.down = nnx.List([block(width) for width in features])
@@ -70,16 +77,17 @@ class LevelNet(nnx.Module):
         passes = [2 * depth] * len(steps) + [depth]
         # once it has its map, between the cells of which is interpolated
         self.reach = 2 * 2 + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
-        self.map_reach = 2 * 4 + 2 * CELL  # two convolutions at 1/4 and two of cells
+        self.map_reach = 1 + (1 + depth) * 4 + depth * CELL
 
     def noise_map(self, x: jax.Array) -> jax.Array:
         """The (N, ceil(H / 16), ceil(W / 16), 2) standard deviations that are estimated for (N, H, W, 3)."""
-        y = pixel_unshuffle(pad_to_multiple(x, CELL), 4)
-        for layer in self.fine:
-            y = nnx.relu(layer(y))
-        y = _cells(y, CELL // 4)
-        y = self.coarse[1](nnx.relu(self.coarse[0](y))).astype(x.dtype)
-        return _LEAST * jnp.exp(jnp.clip(y, -1, 6))
+        padded = pad_to_multiple(x, CELL)
+        # beside its brightness, energies of a picture say nothing of its noise
+        detail = _GAIN * (padded - _mean_of_nine(padded))
+        y = _through(self.fine, self.sense(pixel_unshuffle(detail, 4)))
+        y = _told(jnp.sqrt(_cells(y**2, CELL // 4) + _LEAST**2))
+        y = _through(self.coarse, self.weigh(y))
+        return _LEAST * jnp.exp2(clip_through(4 * self.levels(y).astype(x.dtype), -2, 9, leak=0.1))
 
     def __call__(self, x: jax.Array, noise_map: jax.Array | None = None) -> jax.Array:
         """Denoise (N, H, W, 3); the noise map is estimated where it is None."""
@@ -88,6 +96,7 @@ class LevelNet(nnx.Module):
         padded = pad_to_multiple(x, self.multiple)
         shape = (len(x), padded.shape[1] // 2, padded.shape[2] // 2, 2)
         told = _spread(_told(levels), shape).astype(x.dtype)
+        unit = jnp.linalg.norm(_spread(levels, shape), axis=-1, keepdims=True).astype(x.dtype)
         y = jnp.concatenate([pixel_unshuffle(padded, 2), told], -1)
         y = self.first(y)
         skips = []
@@ -98,17 +107,18 @@ class LevelNet(nnx.Module):
         y = _through(self.down[-1], y)
         for block, grow, skip in reversed(list(zip(self.up, self.grow, skips))):
             y = _through(block, pixel_shuffle(grow(y), 2) + skip)
-        return x - pixel_shuffle(self.last(y).astype(x.dtype), 2)[:, :h, :w]
+        return x - pixel_shuffle(unit * self.last(y).astype(x.dtype), 2)[:, :h, :w]
 
     def objective(
         self, noisy: jax.Array, target: jax.Array, penalty: Callable[[jax.Array], jax.Array]
     ) -> jax.Array:
         """The loss: every other picture of a batch is denoised with its true map, the others with the
-        estimated one, and the estimate is to be near the true one (in ratios)."""
+        estimated one, and the estimate is to be near the true one (in ratios): where it cannot be, it is what
+        denoises best."""
         true = measured_map(noisy, target)
         found = self.noise_map(noisy)
         given = (jnp.arange(len(noisy)) % 2 == 0)[:, None, None, None]
-        told = jnp.where(given, true, jax.lax.stop_gradient(found))
+        told = jnp.where(given, true, found)
         wrong = jnp.abs(_told(found) - _told(true)).mean()
         return penalty(self(noisy, told) - target).mean() + _SHARE * wrong
 
@@ -125,6 +135,12 @@ def measured_map(noisy: jax.Array, target: jax.Array) -> jax.Array:
 def _told(levels: jax.Array) -> jax.Array:
     """Levels as the network gets them: their logarithm, 0 where there is no noise."""
     return jnp.log2(1 + levels / _LEAST) / 4
+
+
+def _mean_of_nine(x: jax.Array) -> jax.Array:
+    """Of each pixel and its neighbours; the border's go on outward."""
+    padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="edge")
+    return jax.lax.reduce_window(padded, 0.0, jax.lax.add, (1, 3, 3, 1), (1, 1, 1, 1), "VALID") / 9
 
 
 def _cells(x: jax.Array, side: int) -> jax.Array:

@@ -13,7 +13,7 @@ from jaxisp.io.files import read_toml, write_text
 
 Light = Literal["encoded", "linear"]
 _CHOICES = {
-    "loss": ("l1", "charbonnier", "smooth_l1", "l2"),
+    "loss": ("l1", "charbonnier", "smooth_l1", "l2", "log_rms"),
     "schedule": ("cosine", "staircase", "constant"),
     "optimizer": ("adam", "amsgrad"),
     "light": ("encoded", "linear"),
@@ -48,7 +48,8 @@ class TrainConfig:
         weight_decay: decoupled.
         clip_norm: gradients longer than this are shortened; 0: never.
         ema: decay of the averaged weights, which are those validated and used; 0: the weights themselves.
-        loss: "l1", "charbonnier" (1e-3), "smooth_l1" (beta 1) or "l2".
+        loss: "l1", "charbonnier" (1e-3), "smooth_l1" (beta 1), "l2", or "log_rms": of each patch's PSNR, so
+            that patches with little noise count as much as the others.
         light: what the network sees, "encoded" sRGB or "linear" light.
         target: what it is to give, the clean "photo", or what the "camera" would show of it without noise.
         pool: patches that are degraded once, before the first step, and used in each epoch from then on, each

@@ -10,7 +10,7 @@ import optax
 from flax import nnx
 from jax.sharding import Mesh
 
-from jaxisp.losses import charbonnier
+from jaxisp.losses import charbonnier, log_rms
 from jaxisp.mixture import Degradation
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.target import pair_maker
@@ -23,8 +23,9 @@ LOSSES: dict[str, Callable[[jax.Array], jax.Array]] = {
     "l2": jnp.square,
     "charbonnier": charbonnier,
     "smooth_l1": lambda x: optax.losses.huber_loss(x, delta=1.0),
+    "log_rms": log_rms,
 }
-"""Penalties of a difference by the names that `TrainConfig.loss` takes; their mean is the loss."""
+"""Penalties of (N, H, W, C) differences by the names in `TrainConfig.loss`; their mean is the loss."""
 
 
 class State(NamedTuple):

@@ -10,5 +10,5 @@ from jaxisp.pipeline import run
 def as_stored(picture: np.ndarray, file: Jpeg | None) -> np.ndarray:
     """(H, W, 3) encoded, as a file with this one's header would have it; rounded where its encoder is not
     modelled."""
-    own = encoder_of(file)
+    own = encoder_of(file, original=picture)
     return np.round(255 * picture) / 255 if own is None else np.asarray(run(*own, picture))
