@@ -222,7 +222,10 @@ def load_npy(path: PathLike) -> np.ndarray:
             warnings.simplefilter("ignore")  # NumPy's note on headers of Python 2
             np.load(path, mmap_mode="r", allow_pickle=False)  # the file has the bytes that its header says
             # read, not copied from the map: a file that is cut meanwhile would end the process
-            return np.load(path, allow_pickle=False)
+            found = np.load(path, allow_pickle=False)
+            if not isinstance(found, np.ndarray):  # an archive of several
+                raise ValueError("holds no single array")
+            return found
     except Exception as error:  # its header is parsed as Python, which fails in many ways
         raise InputError(f"{path}: is a damaged or truncated NumPy file ({one_line(error)})") from error
 

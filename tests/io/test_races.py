@@ -103,3 +103,11 @@ def test_a_file_that_changes_while_it_is_read_is_not_read(tmp_path, monkeypatch)
     monkeypatch.setattr(raw, "_check_magic", lambda path: (checked(path), path.write_bytes(whole)))
     with pytest.raises(InputError, match=r"a\.dng: changed while it was read"):
         read_raw(path)
+
+
+def test_an_archive_is_no_array(tmp_path):
+    with open(tmp_path / "a.npy", "wb") as file:
+        np.savez(file, np.zeros((4, 4, 3), np.uint8))
+    for reader in (load_npy, read_image):
+        with pytest.raises(InputError, match=r"a\.npy: is a damaged .* \(holds no single array\)"):
+            reader(tmp_path / "a.npy")
