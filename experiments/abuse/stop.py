@@ -94,7 +94,8 @@ def stopped(
         return {"what": "did not stop"}
     said = log.read_text(errors="replace")
     found = {"seconds": seconds, "load": round(os.getloadavg()[0], 1), "delay": round(delay, 2)}
-    if status == -number or (number == signal.SIGINT and "Traceback" in said and anew and delay < 0.5):
+    # Python's own start tells of Ctrl-C by a traceback, in which the program has no line
+    if status == -number or (anew and "Traceback" in said and "jaxisp/__main__.py" not in said):
         return {"what": "early", **found}
     if status == 0 and LINE not in said:
         return {"what": "finished", **found}
