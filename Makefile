@@ -15,10 +15,12 @@ demo: $(READY)
 	$(BIN)/jaxisp demo --out demo
 
 # most programs run once and compile quickly; tests marked `optimised` compile as users do, and what they compile
-# and fit serves others of their file
+# and fit serves others of their file; the files without any take seconds to import
+OPTIMISED := $$(grep -rl --include='test_*.py' mark.optimised tests)
+
 test: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"
-	$(PYTEST) --dist loadgroup --no-loadscope-reorder -m "not slow and optimised"
+	$(PYTEST) --dist loadgroup --no-loadscope-reorder -m "not slow and optimised" $(OPTIMISED)
 
 test-all: $(READY)
 	JAXISP_TESTS_QUICK=1 $(PYTEST) --dist worksteal -m "not slow and not optimised"

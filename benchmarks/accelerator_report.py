@@ -1,11 +1,13 @@
-"""The page of `benchmarks.accelerator`, made from its JSON alone."""
+"""The page of `benchmarks.accelerator`, or its part of a page, made from its JSON alone."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
-INTRODUCTION = """# Whole batches and single stages on {device}
-
+_TITLE = "# Whole batches and single stages on {device}\n\n"
+_PART = re.compile(r"(?<=<!-- generated: accelerator -->\n).*?(?=<!-- end -->)", re.DOTALL)
+_INTRODUCTION = """\
 Made by `python -m benchmarks.accelerator --stages 1024 --kernels --report PAGE` with jax {jax}; the
 page alone with `--render --out RESULTS`.
 
@@ -25,14 +27,19 @@ HEADERS = (
 
 
 def write_accelerator(path: Path, results: Path) -> None:
-    """Write the page; what has not been measured is left empty."""
+    """Write the page, or the part of it that is marked as generated; what has not been measured is empty."""
     found = json.loads(results.read_text())
     machine = found["machine"]
     device = machine["processor"] if machine["backend"] == "cpu" else machine["device"]
     lines = [HEADERS, ["---"] * len(HEADERS), *map(cells, found["rows"])]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    made = f"{_INTRODUCTION.format(jax=machine['versions']['jax'])}\n{table}\n"
+    page = path.read_text() if path.exists() else ""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"{INTRODUCTION.format(device=device, jax=machine['versions']['jax'])}\n{table}\n")
+    if _PART.search(page):
+        path.write_text(_PART.sub(lambda _: made, page))
+    else:
+        path.write_text(_TITLE.format(device=device) + made)
 
 
 def cells(row: dict[str, Any]) -> list[str]:

@@ -4,7 +4,8 @@
     python -m experiments.evaluation collect GROUP=FILE ... --axes FILE ... -o docs/results/diagnosis.json
 
 `collect` takes files that `experiments.withheld.study` wrote and keeps of each case what the tables need. A
-case in more than one file of a group counts as the last has it; so does one in both `nulls` and `main`.
+case in more than one file of a group counts as the last has it; so does one in both `nulls` and `main`. The
+files of `experiments.fresh_scenes` and `experiments.null_drops` are kept as they are.
 """
 
 import argparse
@@ -51,6 +52,8 @@ RESULTS = Path("docs/results")
 PAGE = Path("docs/diagnosis-evaluation.md")
 GROUPS = ("nulls", "main", "frames", "grey", "stripped", "libraw")
 """Nulls and frames make the null bank; main is all else but three variants of the pictures."""
+BESIDE = ("fresh", "drops")
+"""What other experiments found, one file each."""
 SPLITS = ("sealed", "develop")
 LATEST = ("elm", "fig")
 """The bodies that came last."""
@@ -112,6 +115,11 @@ def collect(files: Mapping[str, Sequence[Path]], axes: Sequence[Path], out: Path
         cases = {r["case"]: slim(r, axes=group in ("nulls", "frames")) for r in records}
         commands = [*dict.fromkeys(commands), *(located_by if group == "main" else ())]
         parts.append(f'"{group}": {written(commands, cases).rstrip()}')
+    for name in BESIDE:
+        found = {
+            case: own for path in files.get(name, ()) for case, own in json.loads(path.read_text()).items()
+        }
+        parts.append(f'"{name}": {json.dumps(found)}')
     out.write_text("{" + ",\n".join(parts) + "}\n")
 
 
@@ -409,8 +417,8 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "switches": switches.rates(others["switches"]["records"]),
         "switches-by-case": switches.by_case(others["switches"]["records"]),
         "switches-left": "".join(f"- {name}\n" for name in others["switches"]["not run"]),
-        "fresh": fresh(read("fresh-scenes.json")),
-        "drops": drops(read("null-drops.json")),
+        "fresh": fresh(found["fresh"]),
+        "drops": drops(found["drops"]),
         "null-bank": null_bank([*cases_of(found, "nulls"), *cases_of(found, "frames")]),
         "real": photographs(read("real-gap.json")),
         "real-again": photographs(read("real-gap-again.json")),
@@ -429,7 +437,7 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command")
     collecting = commands.add_parser("collect", help="make docs/results/diagnosis.json")
     collecting.add_argument(
-        "results", nargs="+", metavar="GROUP=FILE", help=f"a group of {', '.join(GROUPS)}"
+        "results", nargs="+", metavar="GROUP=FILE", help=f"a group of {', '.join((*GROUPS, *BESIDE))}"
     )
     collecting.add_argument("--axes", type=Path, nargs="*", default=[], help="results of `study --untried`")
     collecting.add_argument("-o", "--out", type=Path, required=True)
@@ -440,8 +448,8 @@ def main() -> None:
     files: dict[str, list[Path]] = defaultdict(list)
     for word in arguments.results:
         group, _, path = word.partition("=")
-        if group not in GROUPS:
-            parser.error(f"{word}: must be GROUP=FILE, with a group of {', '.join(GROUPS)}")
+        if group not in (*GROUPS, *BESIDE):
+            parser.error(f"{word}: must be GROUP=FILE, with a group of {', '.join((*GROUPS, *BESIDE))}")
         files[group].append(Path(path))
     collect(files, arguments.axes, arguments.out)
 

@@ -1,6 +1,6 @@
 """Whether the interval of what an effect closes holds on scenes that were neither fitted nor held out.
 
-    python -m experiments.fresh_scenes --kind clean+noisy --bodies alder --out docs/results/fresh-scenes.json
+    python -m experiments.fresh_scenes --kind clean+noisy --bodies alder --out fresh-scenes.json
 
 The effect's own refit, as the diagnosis made it, is put before further scenes of the same camera; what it
 closes there must lie in the interval that the held-out scenes gave. A run that was broken off goes on.

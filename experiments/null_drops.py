@@ -1,6 +1,6 @@
 """By how much effects lower the gap of cameras that lack nothing, where they are looked for all the same.
 
-    python -m experiments.null_drops --bodies elm fig --limit 16 --out docs/results/null-drops.json
+    python -m experiments.null_drops --bodies elm fig --limit 16 --out null-drops.json
 
 A diagnosis does not look where the gap is near its floor; here it does, for one cause. What an effect must
 lower a gap by, `jaxisp.gap.criteria.Criteria.null_drop`, should be above what 95 % of these cameras have. A

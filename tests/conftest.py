@@ -44,7 +44,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 _MOST_MEMORY = 3e9  # bytes
 
 
-_LONGEST = ("test_diagnose", "fit", "test_clean_noisy", "test_devices", "test_palette", "test_doctests")
+_LONGEST = ("fit", "test_devices", "test_clean_noisy", "test_diagnose", "test_palette", "test_doctests")
 """Files and folders that take half a minute and more, longest first: one that begins last is waited for."""
 
 

@@ -78,13 +78,15 @@ def test_a_sharded_batch_has_the_bits_of_one_device(name, count, each):
     np.testing.assert_array_equal(again, wanted)
 
 
-SIZES = [("phone", [1]), ("phone-any", [1]), ("phone-ahd", [1, 2])]
-# what `rsblur` says of an image alone
-OTHERS = [(name, [2, 4] if name == "rsblur" else [1, 4]) for name in RECIPES if name not in dict(SIZES)]
+SIZES = {"phone": [1], "phone-any": [1], "phone-ahd": [1, 2], "rsblur": [2, 4]}  # of rsblur alone see below
 
 
 @pytest.mark.parametrize(
-    ("name", "sizes"), [*SIZES, *[pytest.param(*other, marks=pytest.mark.slow) for other in OTHERS]]
+    ("name", "sizes"),
+    [
+        pytest.param(name, SIZES.get(name, [1, 4]), marks=[pytest.mark.slow] * (name != "phone"))
+        for name in RECIPES
+    ],
 )
 def test_an_image_has_its_bits_in_a_batch_of_any_size(name, sizes):
     """Photographs and noise, alone or in small batches, as in a batch of sixteen."""
@@ -127,7 +129,7 @@ def traced(fn, mesh, *arguments):
     return jax.eval_shape(jax.shard_map(fn, mesh=mesh, in_specs=specs, out_specs=rows), KEY, *spread)
 
 
-@pytest.mark.parametrize("name", ["phone", "phone-any"])
+@pytest.mark.parametrize("name", ["phone", pytest.param("phone-any", marks=pytest.mark.slow)])
 def test_recipes_are_traced_in_a_plain_shard_map(name):
     """And their gradients: what varies over the mesh is told from what does not."""
     recipe, images = RECIPES[name](), np.zeros((4, 32, 32, 3), np.float32)
@@ -141,7 +143,11 @@ def test_recipes_are_traced_in_a_plain_shard_map(name):
 
 @pytest.mark.parametrize(
     ("name", "size"),
-    [(n, (32, 36)) for n in sorted(STAGES)]
+    [
+        # mixes of what goes through this by itself
+        pytest.param(n, (32, 36), marks=[pytest.mark.slow] * (n in ("chroma_denoising", "demosaicking")))
+        for n in sorted(STAGES)
+    ]
     + [(n, (512, 520)) for n in ("bilateral", "demosaic_ahd", "geometric_distortion", "unsharp_mask")],
 )
 def test_stages_are_traced_in_a_plain_shard_map(name, size):

@@ -16,7 +16,6 @@ MODULES = sorted({
 })  # fmt: skip
 
 
-@pytest.mark.optimised
 def test_examples_run_as_written():
     # a process of its own: some set what holds for a whole process
     done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)

@@ -1,6 +1,7 @@
 """The encoder that a file's header states, against the pixels that libjpeg decodes from that file."""
 
 import io
+import itertools
 
 import colour
 import numpy as np
@@ -60,13 +61,22 @@ def test_it_does_to_the_picture_what_the_file_did(options, kind):
     np.testing.assert_array_equal(np.rint(stored * 255), file.pixels)
 
 
-@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
-@pytest.mark.parametrize("name", ["Display P3", "Adobe RGB (1998)", "ITU-R BT.2020"])
-@pytest.mark.parametrize("curve", [power(2.2), parametric(*SRGB_CURVE)], ids=["gamma", "sRGB"])
+CURVES = {"gamma": power(2.2), "sRGB": parametric(*SRGB_CURVE)}
+SPACES = ("Display P3", "Adobe RGB (1998)", "ITU-R BT.2020")
+CODED = list(itertools.product(CURVES, SPACES, ("4:4:4", "4:2:0")))
+# each curve, each space and each sampling with each of the others
+PAIRED = {("gamma", name, "4:4:4") for name in SPACES} | {("sRGB", name, "4:2:0") for name in SPACES}
+PAIRED |= {("gamma", SPACES[0], "4:2:0"), ("sRGB", SPACES[1], "4:4:4")}
+
+
+@pytest.mark.parametrize(
+    ("curve", "name", "subsampling"),
+    [pytest.param(*case, marks=[pytest.mark.slow] * (case not in PAIRED)) for case in CODED],
+)
 @pytest.mark.optimised
 def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
     """The file is converted by littleCMS, coded by libjpeg, and read back."""
-    icc = profile(name, COLORANTS[name], curve)
+    icc = profile(name, COLORANTS[name], CURVES[curve])
     spaces = ImageCms.createProfile("sRGB"), ImageCms.ImageCmsProfile(io.BytesIO(icc))
     there = ImageCms.buildTransform(*spaces, "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC)
     own = np.asarray(ImageCms.applyTransform(Image.fromarray(PICTURE), there))

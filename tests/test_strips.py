@@ -47,7 +47,7 @@ OPTIONS = {
     "median": {"footprint": ["cross", "5x5"], "iterations": [1, 3]},
     "nonlocal_means": {"search": [2, 4], "patch": [0, 2]},
 }
-"""Options that may change how far a stage looks; each combination is tried."""
+"""Options that may change how far a stage looks; each combination is tried, in `make test` the ends."""
 
 FAR = [stage(name, **SMALL.get(name, {})) for name in sorted(STAGES) if stage(name).reach]
 NEAR = [stage(name) for name in sorted(STAGES) if stage(name).reach == 0]
@@ -56,8 +56,11 @@ NEAR = [stage(name) for name in sorted(STAGES) if stage(name).reach == 0]
 def cases():
     for node in [*FAR, *NEAR]:
         options = OPTIONS.get(node.name, {})
-        for values in itertools.product(*options.values()):
-            yield stage(node.name, **SMALL.get(node.name, {}) | dict(zip(options, values)))
+        combinations = list(itertools.product(*options.values()))
+        for values in combinations:
+            tried = stage(node.name, **SMALL.get(node.name, {}) | dict(zip(options, values)))
+            between = values not in (combinations[0], combinations[-1])
+            yield pytest.param(tried, marks=[pytest.mark.slow] * between)
 
 
 def middle(node):

@@ -263,11 +263,15 @@ def test_collected_results_take_the_last_of_a_case(tmp_path: Path) -> None:
 
     old, new, axes = file("old", seconds=2.0), file("new", seconds=3.0), file("axes", where=["edge"])
     sizes = file("nulls", gap={"before": 1.0, "floor": 1.0, "axes": {"row": 0.123456789}})
-    collect({"main": [old, new], "nulls": [sizes]}, [axes], tmp_path / "out.json")
+    for name in ("one", "two"):
+        (tmp_path / name).write_text(json.dumps({name: {"kind": "raw+jpeg"}}))
+    drops = [tmp_path / "one", tmp_path / "two"]
+    collect({"main": [old, new], "nulls": [sizes], "drops": drops}, [axes], tmp_path / "out.json")
     found = json.loads((tmp_path / "out.json").read_text())
     case = found["main"]["cases"]["a"]
     assert case["seconds"] == 3.0 and case["where"] == ["edge"]
     assert found["main"]["commands"] == ["old", "new", "axes"] and found["grey"]["cases"] == {}
+    assert found["drops"] == {name: {"kind": "raw+jpeg"} for name in ("one", "two")} and found["fresh"] == {}
     assert found["nulls"]["cases"]["a"]["gap"]["axes"] == {"row": 0.123456789}, (
         "the null bank is made from it"
     )

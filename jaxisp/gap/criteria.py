@@ -21,7 +21,7 @@ class Criteria:
         null_excess: [units] how far above the floor the gap of a camera that lacks nothing may be: its
             demosaicker and its order of steps are not quite the base's. From the null bank's cameras.
         null_drop: [units] by how much an effect may lower that camera's gap all the same. Measured by
-            `experiments.null_drops` (RAW+JPEG: docs/results/null-drops.json).
+            `experiments.null_drops` (RAW+JPEG: docs/results/diagnosis.json).
 
     An effect by itself (`Trial.accepted`):
         smallest: share that the lower end of an effect's interval must be above; CONTRACT's 0.05.

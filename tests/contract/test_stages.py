@@ -20,14 +20,29 @@ def no_implicit_promotion():
         yield
 
 
-EACH = [
+MIXES = {"chroma_denoising", "demosaicking"}
+"""Sums of filters and of demosaickers by shares: programs of everything at once, a fifth of all the time."""
+BY_PARTS = {
+    "gradient_is_finite", "gradient_gives_the_value", "gradient_reaches_parameters", "gradient_is_exact",
+    "products_are_precise", "numeric_modes", "batch_agrees",
+}  # fmt: skip
+"""What a mix has of its parts, which go through it as stages of their own or in `luma_denoising`, and of
+`weighted`: `test_shares` holds the derivative to every share, forwards, backwards and under `vmap`, to it."""
+
+
+def marks(name: str, check: str) -> list[pytest.MarkDecorator]:
     # a plain call compiles a hundred operations one by one
-    pytest.param(check, marks=pytest.mark.slow) if check == "plain_call_agrees" else check
-    for check in CHECKS
-]
+    late = check == "plain_call_agrees" or (name in MIXES and check in BY_PARTS)
+    return [pytest.mark.slow] if late else []
 
 
-@pytest.mark.parametrize("check", EACH)
-@pytest.mark.parametrize("name", sorted(STAGES), scope="module")
+@pytest.mark.parametrize(
+    ("name", "check"),
+    [
+        pytest.param(name, check, marks=marks(name, check), id=f"{name}-{check}")
+        for name in sorted(STAGES)
+        for check in CHECKS
+    ],
+)
 def test_stage(name, check):
     CHECKS[check](subject(name))

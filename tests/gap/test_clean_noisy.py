@@ -200,6 +200,7 @@ def pillow_again(stored, by):
     return np.roll(np.asarray(Image.open(file)), [-n for n in by], (0, 1)).astype(float)
 
 
+@pytest.mark.slow
 def test_what_compression_took_from_clean_pictures_is_no_gap(tmp_path):
     """15.6 floors where the same pixels come without their header, 1.0 where they were never compressed."""
     write(tmp_path, "catalpa", {"nothing": 1}, "clean+noisy", size=SIZE, count=COUNT, scenes="two")
@@ -237,6 +238,7 @@ def test_a_pair_of_two_scenes_is_not_certain():
     assert clean_noisy._outliers(mean, ("a", "c")) == ("a",)
 
 
+@pytest.mark.slow
 def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
     """Blur hides what tells them; an even softer demosaicker would stand in for it."""
     write(tmp_path, "birch", {"optical_blur": 4}, "clean+noisy", size=SIZE, count=COUNT)
@@ -245,7 +247,9 @@ def test_pattern_and_demosaicker_are_found_through_a_soft_lens(tmp_path):
     assert (camera.cfa, camera.algorithm, camera.late) == ("BGGR", "malvar", True)
 
 
-@pytest.mark.parametrize("effect", ["chroma_subsampling", "chroma_denoising"])
+@pytest.mark.parametrize(
+    "effect", ["chroma_subsampling", pytest.param("chroma_denoising", marks=pytest.mark.slow)]
+)
 def test_what_smooths_chroma_does_not_pass_for_the_sensor(tmp_path, effect):
     """Gains and order are seen in false colours at edges, which it hides."""
     write(tmp_path, "birch", {effect: 4}, "clean+noisy", size=SIZE, count=COUNT)

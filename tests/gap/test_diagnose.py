@@ -1,7 +1,15 @@
-"""The whole diagnosis, on cameras that share no code with the package and whose effect it is not told."""
+"""The whole diagnosis, on cameras that share no code with the package and whose effect it is not told.
+
+In `make test` a camera that lacks nothing and one that lacks something are diagnosed, here and beside clean
+pictures in `test_clean_noisy`; `test_verdict` and `test_stepwise` hold how a verdict comes, "unknown" too.
+"""
 
 import functools
+import io
 import json
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +20,14 @@ from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.gap import EFFECTS, diagnose
+from jaxisp.gap import diagnose
 from jaxisp.gap.axes.null_bank import bank
 from jaxisp.gap.report.record import HIDDEN, NO_COLOURS
 from tests.gap.schema import keeps_the_schema
 
 pytestmark = pytest.mark.optimised
 
-BODY = "birch"
+BODY, LONE = "birch", "lone.jpg"
 
 
 CASES = {"nothing": 1, "scene_gain": 1, "vignetting": 4, "chroma_denoising": 3, "color_lut": 4,
@@ -29,14 +37,38 @@ CASES = {"nothing": 1, "scene_gain": 1, "vignetting": 4, "chroma_denoising": 3, 
 
 
 @pytest.fixture(scope="module")
-def diagnosed(tmp_path_factory):
-    """The report of a case, made when it is asked for; all are of one body and size, to share programs."""
+def pairs(tmp_path_factory):
+    """The pairs of a case; all are of one body and size, to share programs."""
+
+    @functools.cache
+    def folder(name: str) -> Path:
+        made = tmp_path_factory.mktemp(name)
+        write(made, BODY, {name: CASES[name]}, size=128, count=6)
+        return made
+
+    return folder
+
+
+@pytest.fixture(scope="module")
+def commanded(pairs, tmp_path_factory):
+    """What `jaxisp diagnose` prints of vignetting beside a file that has no pair, and its output folder."""
+    folder, out = pairs("vignetting"), tmp_path_factory.mktemp("written")
+    (folder / LONE).write_bytes(b"")
+    with redirect_stdout(io.StringIO()) as said, redirect_stderr(io.StringIO()) as warned:
+        status = main(["diagnose", str(folder), "-o", str(out), "--json"])
+    return SimpleNamespace(
+        folder=folder, out=out, status=status, report=json.loads(said.getvalue()), warned=warned.getvalue()
+    )
+
+
+@pytest.fixture(scope="module")
+def diagnosed(pairs, request):
+    """The report of a case, made when it is asked for."""
 
     @functools.cache
     def report(name: str):
-        folder = tmp_path_factory.mktemp(name)
-        write(folder, BODY, {name: CASES[name]}, size=128, count=6)
-        found = diagnose(folder).report
+        whole = name == "vignetting"
+        found = request.getfixturevalue("commanded").report if whole else diagnose(pairs(name)).report
         keeps_the_schema(found)
         assert found["kind"] == "raw+jpeg"
         return found
@@ -50,7 +82,7 @@ def named(report) -> set[str]:
     return {first["effect"], *first["alternatives"]}
 
 
-@pytest.mark.parametrize("harmless", ["nothing", "scene_gain"])
+@pytest.mark.parametrize("harmless", ["nothing", pytest.param("scene_gain", marks=pytest.mark.slow)])
 def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
     report = diagnosed(harmless)
     assert report["verdict"] == "none" and report["causes"] == [] and report["where"] == []
@@ -61,11 +93,16 @@ def test_no_effect_is_named_where_none_is_missing(diagnosed, harmless):
     "effect",
     [
         "vignetting",
-        "color_lut",
-        "film_grain",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("chroma_denoising", "local_tone_mapping", "optical_blur", "green_imbalance")
+            for name in (
+                "color_lut",
+                "film_grain",
+                "chroma_denoising",
+                "local_tone_mapping",
+                "optical_blur",
+                "green_imbalance",
+            )
         ),
     ],
 )
@@ -76,6 +113,7 @@ def test_the_effect_that_is_missing_is_named(diagnosed, effect):
     assert report["where"], "a gap is somewhere"
 
 
+@pytest.mark.slow
 def test_what_is_outside_the_vocabulary_is_unknown(diagnosed):
     report = diagnosed("diagonal_filter")
     assert report["verdict"] == "unknown" and report["causes"] == []
@@ -99,19 +137,16 @@ def _not_identifiable(report) -> set[str]:
     return {r["effect"] for r in report["ranking"] if r.get("reason") in (HIDDEN, NO_COLOURS)}
 
 
-def test_the_command_writes_both_files(tmp_path, capsys):
-    write(tmp_path / "set", BODY, {"vignetting": 4}, size=128, count=4)
-    (lone := tmp_path / "set" / "lone.jpg").write_bytes(b"")
-    others = ",".join(name for name in EFFECTS if name != "vignetting")  # which would take long
-    call = ["diagnose", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--json", "--exclude", others]
-    assert main(call) == 2
-    told = capsys.readouterr()
-    printed = json.loads(told.out)
-    assert f"jaxisp: {lone}: has no RAW file beside it" in told.err, "the rest is diagnosed all the same"
-    assert [f["file"] for f in printed["pairs"]["failed"]] == ["lone.jpg"]
+def test_the_command_writes_both_files(commanded):
+    printed, out = commanded.report, commanded.out
+    assert commanded.status == 2
+    assert f"jaxisp: {commanded.folder / LONE}: has no RAW file beside it" in commanded.warned, (
+        "the rest is diagnosed all the same"
+    )
+    assert [f["file"] for f in printed["pairs"]["failed"]] == [LONE]
     assert {row["done"] for row in printed["pairs"]["aligned"]} == {"nothing"}
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == printed["verdict"]
-    assert "<html" in (tmp_path / "out" / "report.html").read_text()
+    assert json.loads((out / "report.json").read_text())["verdict"] == printed["verdict"]
+    assert "<html" in (out / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -46,11 +46,20 @@ def mosaics():
     return jnp.asarray(np.clip((ramp + 0.3 * (detail - 0.5) * (ramp + 0.02)) * tinted, 0, 1), jnp.float32)
 
 
-@pytest.fixture(scope="module")
-def model():
+def model_of(effects):
     chain, params = plain_camera("GRBG")
     gains = {"mosaic_white_balance": WhiteBalance(gains=np.full((2, 3), 1.1, np.float32))}
-    return build(chain, params, gains, plain_freedom(), candidates(RAW_JPEG))
+    return build(chain, params, gains, plain_freedom(), effects)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return model_of(candidates(RAW_JPEG))
+
+
+@pytest.fixture(scope="module")
+def warping():
+    return model_of([EFFECTS[name] for name in ("geometric_distortion", "lateral_chromatic_aberration")])
 
 
 def test_the_vocabulary_is_complete():
@@ -86,6 +95,7 @@ _WAYS = {
 _DONE_BY = {"clip": "equalization"}
 
 
+@pytest.mark.optimised
 def test_every_move_shows(model):
     """Of what does not show here, and of film grain, see `test_effects_in_noise`."""
     light = mosaics()
@@ -179,8 +189,9 @@ def test_noise_effects_repeat_for_a_key():
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["geometric_distortion", "lateral_chromatic_aberration"])
-def test_a_warp_is_found_to_either_side(model, name, sign):
+def test_a_warp_is_found_to_either_side(warping, name, sign):
     """Interpolation smooths both ways, which a probe to one side would take for a part of the warp."""
+    model = warping
     first, light = model.indices([name])[0], jnp.concatenate([mosaics()] * 2, 1)
     z = np.zeros(len(model.coordinates))
     z[first] = 0.7 * sign * model.steps[first]

@@ -167,7 +167,10 @@ def searched_for(folder, *effects):
     return searched(case, gap, lambda *_: None), case, gap
 
 
-@pytest.mark.parametrize("effect", sorted(SEARCHED))
+@pytest.mark.parametrize(
+    "effect",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n != "highlight_clipping")) for n in sorted(SEARCHED)],
+)
 def test_effects_that_are_searched_for_are_refitted_beside_a_camera(tmp_path, effect):
     """They alone are tried: no number is fitted by its derivative."""
     found, case, _ = searched_for(write(tmp_path, lambda m: np.minimum(m, 0.55)), effect)

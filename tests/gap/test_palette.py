@@ -1,5 +1,8 @@
 """Grey scenes say nothing of a colour matrix: a usual one stands in the base, and is not fitted."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -53,20 +56,28 @@ def test_a_typical_matrix_takes_white_to_its_gains(gains, share):
     np.testing.assert_allclose(matrix / np.array(gains)[:, None], np.eye(3) + share * TYPICAL)
 
 
+def reported(folder: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the diagnosis says of these scenes, and of the colour matrix in its ranking."""
+    write(folder, "fig", {}, scenes=name, size=128, count=6)
+    report = diagnose(folder, exclude=list(EFFECTS)).report
+    return report, next(row for row in report["ranking"] if row["effect"] == "color_matrix")
+
+
 @pytest.mark.optimised
 def test_beside_grey_scenes_the_matrix_is_a_usual_one_and_nothing_is_missing(tmp_path):
     """Fitted, it imitated what compression takes of the noise in their colours: 2.2 floors, "unknown"."""
-    reports = {}
-    for name in (GREY, "two"):
-        write(tmp_path / name, "fig", {}, scenes=name, size=128, count=6)
-        reports[name] = diagnose(tmp_path / name, exclude=list(EFFECTS)).report
-    reasons = {name: {r["effect"]: r for r in report["ranking"]} for name, report in reports.items()}
-    assert reasons[GREY]["color_matrix"]["reason"] == NO_COLOURS
-    assert reasons[GREY]["color_matrix"]["status"] == "not_identifiable"
-    assert reasons["two"]["color_matrix"]["reason"] == ABSORBED
-    base = reports[GREY]["base"]
-    matrix = np.array(base["fitted"]["color_matrix"]["matrix"])
+    report, row = reported(tmp_path, GREY)
+    assert row["reason"] == NO_COLOURS and row["status"] == "not_identifiable"
+    matrix = np.array(report["base"]["fitted"]["color_matrix"]["matrix"])
     np.testing.assert_allclose(matrix, typical_matrix(matrix.sum(1)), rtol=1e-5)
-    assert "color_matrix" not in base["absorbed"] and "color_matrix" in reports["two"]["base"]["absorbed"]
+    assert "color_matrix" not in report["base"]["absorbed"]
     assert np.ptp(matrix.sum(1)) < 0.02 * matrix.sum(1).mean(), "white stays"
-    assert {report["verdict"] for report in reports.values()} == {"none"}
+    assert report["verdict"] == "none"
+
+
+@pytest.mark.slow
+@pytest.mark.optimised
+def test_beside_coloured_scenes_the_matrix_is_fitted(tmp_path):
+    report, row = reported(tmp_path, "two")
+    assert row["reason"] == ABSORBED and "color_matrix" in report["base"]["absorbed"]
+    assert report["verdict"] == "none"

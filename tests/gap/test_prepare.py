@@ -53,7 +53,7 @@ def test_a_cameras_demosaicker_is_one_of_the_choices(own, algorithm):
     assert node.options.get("algorithm") == algorithm and node.options["cfa"] == "GRBG"
 
 
-@pytest.mark.parametrize("roots", [False, True])
+@pytest.mark.parametrize("roots", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_it_knows_whether_square_roots_were_demosaicked(roots):
     rng = np.random.default_rng(5)
     light = np.clip(scenes(rng, 4, (96, 96))[..., 0] / 255, 0.01, 1) ** 2

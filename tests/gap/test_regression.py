@@ -84,7 +84,17 @@ CASES = residuals(np.random.default_rng(0))
 ONE = np.ones(Y.shape)
 
 
-@pytest.mark.parametrize("axis, residual", CASES, ids=[f"{i}-{axis}" for i, (axis, _) in enumerate(CASES)])
+SEEN = [axis for axis, _ in CASES]
+
+
+@pytest.mark.parametrize(
+    ("axis", "residual"),
+    [
+        # of an axis that has two residuals the second, which is harder to see
+        pytest.param(*case, id=f"{i}-{case[0]}", marks=[pytest.mark.slow] * (case[0] in SEEN[i + 1 :]))
+        for i, case in enumerate(CASES)
+    ],
+)
 def test_axis_comes_first(axis, residual):
     rng = np.random.default_rng(1)
     found = where(residual + rng.normal(size=residual.shape) * 0.3, PICTURE, ONE, rng=rng)
@@ -112,16 +122,18 @@ def test_profile_and_share_of_known_curve():
     )
 
 
-def test_white_noise_has_no_axis():
+# a binomial at 0.05 is above this in 0.3 % of the cases, of six in 0.2 %
+@pytest.mark.parametrize(("seeds", "most"), [(6, 2), pytest.param(20, 4, marks=pytest.mark.slow)])
+def test_white_noise_has_no_axis(seeds, most):
     """p is corrected over the axes: at 0.05 one family in twenty has an axis below it."""
     false = 0
-    for seed in range(20):
+    for seed in range(seeds):
         rng = np.random.default_rng(100 + seed)
         picture = scenes(rng, 3 if seed % 2 else 1, (64, 72))
         found = where(2 * rng.normal(size=picture.shape), picture, np.ones(picture.shape[:3]), rng=rng)
         false += any(f["p_value"] < 0.05 for f in found)
         assert max(f["share"] for f in found) < 0.03
-    assert false <= 4  # a binomial of 20 at 0.05 is above in 0.3 % of the cases
+    assert false <= most
 
 
 def test_frames_of_a_scene_are_compared_with_each_other():

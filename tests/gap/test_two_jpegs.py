@@ -45,7 +45,10 @@ def case_of(folder, *effects):
     return jpeg_case(kept, sorted(set(EFFECTS) - set(effects)), lambda *_: None)
 
 
-@pytest.mark.parametrize(("effect", "change"), [("sharpening", sharper), ("saturation", richer)])
+@pytest.mark.parametrize(
+    ("effect", "change"),
+    [("sharpening", sharper), pytest.param("saturation", richer, marks=pytest.mark.slow)],
+)
 def test_what_changed_is_named(tmp_path, effect, change):
     case = case_of(write(tmp_path, change), *TRIED)
     assert case.kind == "jpeg+jpeg" and case.absorbed == {} and set(case.offered) == set(TRIED)

@@ -54,8 +54,8 @@ def test_coarse_tables_and_rgb_are_libjpegs(most, rng):
 
 def test_alike_tables_are_the_stage_of_two_tables(rng):
     image, tables = picture((30, 41), "noise"), rng.integers(1, 80, (2, 8, 8)).astype(np.float32)
-    got = jpeg_file(JpegFile(tables=tables[[0, 1, 1]]), floats(image))
-    want = jpeg_tables(JpegTables(luma_table=tables[0], chroma_table=tables[1]), floats(image))
+    got = jax.jit(jpeg_file)(JpegFile(tables=tables[[0, 1, 1]]), floats(image))
+    want = jax.jit(jpeg_tables)(JpegTables(luma_table=tables[0], chroma_table=tables[1]), floats(image))
     np.testing.assert_allclose(got, want, atol=1e-6)
 
 

@@ -7,16 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.stages.resampling import (
-    Resampling,
-    Rescaling,
-    _there_and_back,
-    _Way,
-    resampling,
-    rescaling,
-    resize,
-)
+from jaxisp.stages import resampling as stages
+from jaxisp.stages.resampling import Resampling, Rescaling, _there_and_back, _Way
 from jaxisp.testing import smooth_image
+from tests.jitted import jitted
+
+resampling, rescaling, resize = map(jitted, (stages.resampling, stages.rescaling, stages.resize))
 
 FILTERS = {
     "bilinear": Image.Resampling.BILINEAR,
