@@ -2,6 +2,10 @@
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
+
+_LONGEST = 10_000
+"""Characters of a message, which may hold two paths, of 4096 at the most, or what stands in a file."""
 
 
 class InputError(ValueError):
@@ -15,6 +19,13 @@ class InputError(ValueError):
         ...     print(type(error).__mro__[1].__name__)
         ValueError
     """
+
+    def __init__(self, text: str = "") -> None:
+        lines = text.splitlines()
+        text = text if len(lines) < 2 else " ".join(line.strip() for line in lines)
+        if len(text) > _LONGEST:  # a path may be long, and what is wrong comes after it
+            text = f"{text[: _LONGEST // 2]}...{text[3 - _LONGEST // 2 :]}"
+        super().__init__(text)
 
 
 def meant(name: str, known: Iterable[str]) -> str:
@@ -40,3 +51,12 @@ def one_line(error: BaseException, most: int = 200) -> str:
     """What an error says, as one line of at most so many characters."""
     text = " ".join(str(error).split())
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def short(value: Any) -> str:
+    """A value from anybody as it may stand in one line of an error."""
+    try:
+        text = repr(value)
+    except RecursionError:
+        text = "tables nested too deeply"
+    return text if len(text) < 120 else text[:120] + "..."

@@ -20,6 +20,7 @@ from jaxisp.io.files import (
     MOST_NAME,
     check_new,
     check_output,
+    file_state,
     find_images,
     parse_toml,
     real_paths,
@@ -101,7 +102,9 @@ class Work:
     seed: int = 0
     start: int = 0
     paths: list[Path] = dataclasses.field(init=False)
-    _digests: dict[Path, str] = dataclasses.field(init=False, repr=False, compare=False, default_factory=dict)
+    _digests: dict[Path, tuple[str, tuple[int, ...]]] = dataclasses.field(
+        init=False, repr=False, compare=False, default_factory=dict
+    )
     _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
@@ -161,10 +164,11 @@ class Work:
         """SHA-256 of an input, taken once; "" where it cannot be read."""
         if path not in self._digests:
             try:
-                self._digests[path] = digest_of(path)
+                before = file_state(path)
+                self._digests[path] = digest_of(path), before
             except InputError:
-                self._digests[path] = ""
-        return self._digests[path]
+                self._digests[path] = "", ()
+        return self._digests[path][0]
 
     def _drawn(self, sample: Sample, params: dict[str, Any]) -> Recipe:
         note = {"sample": self.note(sample)}
@@ -224,7 +228,11 @@ class Work:
                 raise InputError(f"{path}: {other} has the same name, which outputs would share")
             if len(os.fsencode(f"{path.stem}_{self.count - 1:03d}.clean.png")) > MOST_NAME:
                 raise InputError(f"{path}: its name is too long for those of its results; shorten it")
-            return read_image(path)
+            self.digest_of(path)  # before the pixels: of what is read, not of what stands there later
+            image = read_image(path)
+            if file_state(path) != self._digests[path][1]:
+                raise InputError(f"{path}: changed while it was read")
+            return image
         except InputError as error:
             outcome.failed.append((str(path), str(error)))
             return None

@@ -21,8 +21,8 @@ from jax.typing import ArrayLike
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.arrays.varying import alike, spread_over
-from jaxisp.errors import InputError
-from jaxisp.io.files import parse_toml, short, write_text
+from jaxisp.errors import InputError, short
+from jaxisp.io.files import parse_toml, write_text
 from jaxisp.params import strong
 from jaxisp.pipeline import Chain, over_batch, spread
 from jaxisp.priors import draw
@@ -61,15 +61,13 @@ class Mixture:
             check_photographs(recipe)
         try:
             given = np.asarray([float(share) for share in self.shares])
-        except (TypeError, ValueError):
-            raise InputError(f"shares of a mixture must be numbers, got {self.shares!r}") from None
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"shares of a mixture must be numbers, got {short(self.shares)}") from None
         object.__setattr__(self, "shares", tuple(given.tolist()))
         if given.shape != (len(self.recipes),) or not len(given):
-            raise InputError(f"a mixture takes a share for each of its recipes, got {self.shares!r}")
+            raise InputError(f"a mixture takes a share for each of its recipes, got {short(self.shares)}")
         if not (np.isfinite(given).all() and (given >= 0).all() and abs(given.sum() - 1) < 1e-6):
-            raise InputError(
-                f"shares of a mixture must be 0 or more and sum to 1, got {', '.join(map(str, self.shares))}"
-            )
+            raise InputError(f"shares of a mixture must be 0 or more and sum to 1, got {short(self.shares)}")
 
     def __repr__(self) -> str:
         return f"mix({dict(zip(self.recipes, self.shares))})"
@@ -101,7 +99,7 @@ class Mixture:
         parts = table.get("mixture")
         wanted = {"share", "recipe"}
         if set(table) != {"mixture"} or not isinstance(parts, list):
-            raise InputError(f"{source}: a mixture has [[mixture]] tables alone, got {sorted(table)}")
+            raise InputError(f"{source}: a mixture has [[mixture]] tables alone, got {short(sorted(table))}")
         if not all(isinstance(part, dict) and set(part) == wanted for part in parts):
             raise InputError(f"{source}: each [[mixture]] has a share and a recipe")
         recipes = [Recipe.from_table(part["recipe"], source) for part in parts]

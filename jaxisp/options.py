@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, short
 
 _KINDS: dict[Any, tuple[type, ...]] = {
     bool: (bool,), int: (int,), float: (float, int), str: (str,), type(None): (type(None),),
@@ -62,9 +62,9 @@ def check_option(name: str, hint: Any, value: Any) -> None:
         # a bool is an int elsewhere
         if not any(type(value) in _KINDS[k] for k in options):
             wanted = " or ".join("None" if k is type(None) else k.__name__ for k in options)
-            raise InputError(f"{name} must be {wanted}, got {value!r}")
+            raise InputError(f"{name} must be {wanted}, got {short(value)}")
         if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{name} must be finite, got {value!r}")
+            raise InputError(f"{name} must be finite, got {short(value)}")
     for limit in limits:
         if isinstance(limit, Limit) and not limit.holds(value):
-            raise InputError(f"{name} must be {limit.text}, got {value!r}")
+            raise InputError(f"{name} must be {limit.text}, got {short(value)}")

@@ -14,8 +14,8 @@ from jax.typing import ArrayLike
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.domains import CAMERA, ENCODED, LINEAR, PROPHOTO, XYZ_D65, Domain, accepts
-from jaxisp.errors import InputError, meant, one_line
-from jaxisp.io.files import parse_toml, read_toml, short, write_text
+from jaxisp.errors import InputError, meant, one_line, short
+from jaxisp.io.files import parse_toml, read_toml, write_text
 from jaxisp.params import specs, strong
 from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signature
 from jaxisp.priors import check_prior, draw
@@ -223,10 +223,10 @@ class Recipe:
             unknown = set(table) - {"name", "description", "meta", "stages", "params"}
             if unknown or not isinstance(table.get("stages"), list):
                 raise InputError(
-                    f"a recipe has name, description, meta, stages and params; got {sorted(table)}"
+                    f"a recipe has name, description, meta, stages and params; got {short(sorted(table))}"
                 )
             if not isinstance(table.get("meta", {}), dict):
-                raise InputError(f"meta must be a table, got {table['meta']!r}")
+                raise InputError(f"meta must be a table, got {short(table['meta'])}")
             nodes = tuple(decode_node(t) for t in table["stages"])
             chain = Chain(nodes, str(table.get("name", "recipe")))
             params = decode_params(table.get("params", {}), chain)

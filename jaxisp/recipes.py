@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.domains import MOSAIC
-from jaxisp.errors import InputError, meant
-from jaxisp.io.files import parse_toml, read_text, short
+from jaxisp.errors import InputError, meant, short
+from jaxisp.io.files import parse_toml, read_text
 from jaxisp.mixture import Degradation, Mixture
 from jaxisp.node import Around
 from jaxisp.phase import AnyPhase, CfaPhase

@@ -15,8 +15,7 @@ import numpy as np
 
 import jaxisp.stages  # noqa: F401  (fills the registry)
 from jaxisp.checks import check_params
-from jaxisp.errors import InputError
-from jaxisp.io.files import short
+from jaxisp.errors import InputError, short
 from jaxisp.params import specs
 from jaxisp.phase import AnyPhase
 from jaxisp.pipeline import Chain, Gate, Node, Row, Shuffle, Stage, stage
@@ -53,7 +52,7 @@ def decode_node(table: Any) -> Node:
     kinds = [k for k in _DECODERS if k in table]
     unknown = set(table) - {*_DECODERS, "name", "options"}
     if len(kinds) != 1 or unknown:
-        raise InputError(f"a stage must have one of {', '.join(_DECODERS)}; got {sorted(table)}")
+        raise InputError(f"a stage must have one of {', '.join(_DECODERS)}; got {short(sorted(table))}")
     for key, kind, what in (("stage", str, "text"), ("name", str, "text"), ("options", dict, "a table")):
         if key in table and not isinstance(table[key], kind):
             raise InputError(f"{key} must be {what}, got {short(table[key])}")

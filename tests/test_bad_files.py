@@ -53,6 +53,57 @@ def test_degrade_goes_on(folder, capsys):
     assert [line for line in told if "its name is too long for those of its results" in line]
 
 
+LINKED = (  # {} is a link to itself, then one to nothing
+    "develop {}.dng -o a.png", "develop {}.npy -o a.png", "develop a.dng -o {}.png",
+    "develop a.dng -o {}/a.png", "develop a.dng -o a.png --camera {}.toml", "fit {} -o c.toml",
+    "fit in -o {}.toml", "fit in -o {}/c.toml", "fit in -o c.toml --report {}",
+    "fit in -o c.toml --recipe {}.toml", "calibrate {} {} -o n.toml", "calibrate a.dng a.dng -o {}.toml",
+    "recipe {}.toml -o b.toml", "recipe phone -o {}.toml", "recipe phone -o b.toml --noise {}.toml",
+    "degrade {} -o out --recipe awgn", "degrade {}.png -o out --recipe awgn",
+    "degrade in -o {} --recipe awgn", "degrade in -o {}/out --recipe awgn",
+    "degrade in -o out --recipe {}.toml", "degrade in -o {} --recipe awgn --shards 1",
+    "train --clean {} -o run --recipe awgn", "train --clean in -o {} --recipe awgn",
+    "train --clean in -o run --recipe {}.toml", "train -o {} --resume", "denoise --run {} in -o out",
+    "evaluate --run {} in", "evaluate --methods gaussian {}", "diagnose {} -o d", "diagnose in -o {}",
+    "diagnose in -o d --camera {}.toml", "compare {} {}", "compare {}.json {}.json", "demo --out {}",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["loop", "lost"])
+def test_links_to_themselves_and_to_nothing(tmp_path, capsys, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    write_png("in/fine.png", smooth_image((24, 30, 3)))
+    for end in ("", ".dng", ".npy", ".png", ".toml", ".json"):
+        Path(f"{name}{end}").symlink_to(f"{name}{end}" if name == "loop" else "nothing")
+    before = sorted(tmp_path.rglob("*"))
+    for command in LINKED:
+        status, out, err = run(capsys, *command.format(name, name).split())
+        assert (status, out, err.count("\n")) == (2, "", 1), (command, err)
+        assert f"{name}" in err or "jaxisp: a.dng: " in err or "jaxisp: in: holds no " in err, (command, err)
+        assert sorted(tmp_path.rglob("*")) == before, command
+
+
+def test_a_folder_of_links_is_a_batch(tmp_path, capsys):
+    (tmp_path / "in" / "sub").mkdir(parents=True)
+    write_png(tmp_path / "in" / "fine.png", smooth_image((24, 30, 3)))
+    for name, target in (
+        ("loop.png", "loop.png"),
+        ("a.png", "b.png"),
+        ("b.png", "a.png"),
+        ("lost.png", "nothing"),
+        ("loop", "loop"),
+        ("here", "."),
+        ("sub/up", ".."),
+    ):
+        (tmp_path / "in" / name).symlink_to(target)
+    status, out, err = run(
+        capsys, "degrade", tmp_path / "in", "-o", tmp_path / "out", "--recipe", "awgn", "--json"
+    )
+    assert status == 2 and '"images": 1' in out and len(err.splitlines()) == 4
+    assert all(f"/{name}.png: cannot be read: " in err for name in ("a", "b", "loop", "lost"))
+
+
 def test_a_pair_that_is_no_file_does_not_end_an_evaluation(tmp_path):
     from jaxisp.train.evaluate import evaluate_dataset
 

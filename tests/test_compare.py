@@ -93,6 +93,13 @@ def test_pairs_and_effects_of_one_report_alone(tmp_path):
     assert "new" in comparison_page(compare(a, b)).html()
 
 
+def test_numbers_that_no_float_can_hold(tmp_path):
+    a, b = written(tmp_path / "a", FIT, seconds=10**400), written(tmp_path / "b", FIT)
+    found = compare(a, b)
+    assert values(found)["held out", "time"] == (10**400, FIT["seconds"], None)
+    assert "1" + "0" * 400 in comparison_page(found).html()
+
+
 @pytest.mark.parametrize(
     ("content", "what"),
     [

@@ -1,5 +1,6 @@
 """Digests of what is resumed: single bits, files that were cut, emptied, swapped or lost."""
 
+import json
 import shutil
 
 import numpy as np
@@ -7,11 +8,11 @@ import pytest
 
 from experiments.abuse.flips import accepted, cases
 from jaxisp.data import ShardSource, degrade_shards
-from jaxisp.data.shard_source import shard_name
+from jaxisp.data.shard_source import MANIFEST, SCHEMA, shard_name
 from jaxisp.errors import InputError
 from jaxisp.generate import Work, degrade_files
 from jaxisp.io import write_png
-from jaxisp.io.digests import check_seal, is_sealed, own_folder, sealed_json, sealed_toml
+from jaxisp.io.digests import changed_files, check_seal, is_sealed, own_folder, sealed_json, sealed_toml
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
 
@@ -141,3 +142,34 @@ def test_a_folder_of_ones_own(tmp_path):
             tmp_path / "out" / "deep" / "c"
         ).exists()
         (tmp_path / "out" / "deep" / "mine").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("files", [5, None, ["a"], {"a": 5}, {"a": None}, {"a": ["0" * 64]}])
+def test_digests_that_are_no_text_are_one_error(tmp_path, files):
+    (tmp_path / "a").write_bytes(b"a")
+    (tmp_path / "notes.json").write_text(sealed_json(json.dumps({"files": files})))
+    with pytest.raises(InputError, match=r"notes\.json: holds no digests of files"):
+        changed_files(tmp_path, "notes.json")
+    with (
+        pytest.raises(InputError, match="holds a, which is none of the files"),
+        own_folder(tmp_path, "notes.json"),
+    ):
+        raise AssertionError
+
+
+@pytest.mark.parametrize("inputs", [5, None, ["a"], [["a", 5]], [["a"]], [[["a"], "b"]], {"a": "b"}])
+def test_a_manifest_whose_inputs_are_no_text_is_one_error(photos, tmp_path, inputs):
+    pytest.importorskip("array_record")
+    plan = {
+        "schema": SCHEMA,
+        "shards": 1,
+        "recipe": "awgn",
+        "recipe_sha256": "0",
+        "seed": 0,
+        "inputs": inputs,
+    }
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / MANIFEST).write_text(sealed_json(json.dumps(plan)))
+    for use in (ShardSource, lambda out: degrade_shards(Work([photos], RECIPES["awgn"]()), out, 1)):
+        with pytest.raises(InputError, match=r"manifest\.json: its inputs are no names with digests"):
+            use(tmp_path / "out")

@@ -10,10 +10,14 @@ import pytest
 
 from jaxisp.camera import standard_camera
 from jaxisp.cli import main
+from jaxisp.data import shards
+from jaxisp.data.catalogue import SETS, SUMS, RemoteFile
 from jaxisp.io import write_png
+from jaxisp.io.locks import locked
 from jaxisp.samples import PHONES, scenes, write_pairs
 from jaxisp.testing import smooth_image
 from tests.calibrate import sensor
+from tests.data.test_catalogue import SHA, public, server  # noqa: F401
 from tests.io.test_files import special_files
 
 TRAIN = (
@@ -194,3 +198,101 @@ def test_no_result_replaces_an_input(inputs, capsys):
         assert main(command.split()) == 2
         assert unchanged(before, inputs) == {} and "is an input" in capsys.readouterr().err
         (inputs / "pairs" / "dataset.toml").unlink()
+
+
+@pytest.fixture
+def fetching(inputs, server, monkeypatch):  # noqa: F811
+    """A set of one file on a server of this machine, and the folder of all sets."""
+    clear(inputs)
+    monkeypatch.setenv("JAXISP_DATA", "out")
+    monkeypatch.setitem(SETS, "kodak", public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    return inputs
+
+
+def test_what_stands_beside_a_set_that_is_fetched(fetching, capsys):
+    out = fetching / "out"
+    (out / "others").mkdir()
+    special_files(out / "others")
+    (out / "small").mkdir()  # empty, where the set comes to be
+    for name in ("polyu.zip", f"{SUMS}.tmp", f".{SUMS}.tmp", "others/a.bin"):
+        (out / name).write_bytes(b"mine")
+    (out / SUMS).write_text(f'{{"https://example.org/other": "{SHA}"}}')
+    before = everything(fetching)
+    assert main(["data", "fetch", "kodak"]) == 0, capsys.readouterr().err
+    assert unchanged(before, fetching, (f"out/{SUMS}",)) == {} and SHA in (out / SUMS).read_text()
+    new = everything(fetching).keys() - before.keys()
+    assert new == {"out/small/a.bin", "out/small/SOURCE.json"}
+    before = everything(fetching)
+    assert main(["data", "fetch", "kodak"]) == 0 and everything(fetching) == before
+
+
+@pytest.mark.parametrize("name", ["small", SUMS, ".small.lock", ".small.partial", f".{SUMS}.lock"])
+def test_no_link_or_device_is_followed_or_replaced_by_fetching(fetching, capsys, name):
+    (fetching / "mine").mkdir(exist_ok=True)
+    for special in (*special_files(fetching / "out"), "to a folder"):
+        if special == "to a folder":
+            (fetching / "out" / name).symlink_to(fetching / "mine")
+        else:
+            os.rename(fetching / "out" / special, fetching / "out" / name)
+        before = everything(fetching)
+        assert main(["data", "fetch", "kodak"]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert name in told[-1] and "Traceback" not in told[-1] and len(told) == 3
+        now = everything(fetching)
+        assert unchanged(before, fetching) == {}
+        assert all(
+            path.startswith(("out/.small.partial", "out/.small.lock")) for path in now.keys() - before.keys()
+        )
+        (fetching / "out" / name).unlink()
+
+
+TAKEN = {  # the lock of each command in its output folder
+    "demo": ".lock",
+    "fit": ".camera.toml.partial.lock",
+    "fit's report": ".report.lock",
+    "degrade": ".lock",
+    "shards": ".shard-00000-of-00001.lock",
+    "train": ".lock",
+    "denoise": ".lock",
+    "diagnose": ".lock",
+}
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_of_two_that_write_into_one_folder_the_second_is_refused(inputs, name, capsys):
+    clear(inputs)
+    with locked("out", name=TAKEN[name]):
+        before = everything(inputs)
+        status = main(COMMANDS[name.removesuffix("'s report")][0].split())
+        told = capsys.readouterr().err
+        assert (status, told.count("\n")) == (2, 1) and "out: another process is " in told
+        new = everything(inputs).keys() - before.keys()
+        assert unchanged(before, inputs) == {} and new <= {"out/manifest.json", "out/recipe.toml"}
+
+
+@pytest.mark.parametrize("how", ["gone", "anew", "a file"])
+@pytest.mark.parametrize("name", ["degrade", "shards", "denoise"])
+def test_a_folder_that_is_removed_while_it_is_written_is_one_error(inputs, name, how, capsys, monkeypatch):
+    clear(inputs)
+
+    def remove(path, *arguments, written=write_png, **options):
+        written(path, *arguments, **options)
+        disturb()
+
+    def disturb():
+        shutil.rmtree(inputs / "out")
+        if how == "anew":
+            (inputs / "out").mkdir()
+        elif how == "a file":
+            (inputs / "out").write_bytes(b"mine")
+
+    for module in ("jaxisp.generate", "jaxisp.models.apply"):
+        monkeypatch.setattr(f"{module}.write_png", remove)
+    encoded = shards.encode_record
+    monkeypatch.setattr(shards, "encode_record", lambda made: (disturb(), encoded(made))[1])
+    status = main(COMMANDS[name][0].split())
+    told = capsys.readouterr().err
+    assert (status, told.count("\n")) == (2, 1) and "jaxisp: out" in told
+    if how == "a file":
+        assert (inputs / "out").read_bytes() == b"mine"
+        (inputs / "out").unlink()

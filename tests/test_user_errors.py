@@ -1,6 +1,7 @@
 """What is refused where it is written, in words that say what would be right."""
 
 import dataclasses
+import pickle
 from typing import Annotated
 
 import jax
@@ -11,11 +12,12 @@ import pytest
 from jaxisp.data import Batches
 from jaxisp.domains import RGB
 from jaxisp.errors import InputError
+from jaxisp.mixture import Mixture
 from jaxisp.options import between
 from jaxisp.pipeline import Chain, Gate, Shuffle, run, run_batch, stage
 from jaxisp.priors import Choice, LogUniform, Normal, Uniform
 from jaxisp.recipe import Recipe
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, find_degradation
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise, ShotReadNoise
 from jaxisp.testing import smooth_image
@@ -221,3 +223,32 @@ def test_parameters_of_another_number_of_images_are_told():
     params = {"unsharp_mask": type(node.init()["unsharp_mask"])(amount=np.float32([0.1, 0.2]))}
     with pytest.raises(InputError, match=r"unsharp_mask\.amount has 2 values, one an image, for 3 images"):
         run_batch(node, params, np.full((3, 8, 8, 3), 0.5, np.float32))
+
+
+def test_an_error_is_one_line_that_can_be_read():
+    error = InputError("a.toml: got Chain\n  mosaic\r\n  noise")
+    assert str(error) == "a.toml: got Chain mosaic noise" == str(pickle.loads(pickle.dumps(error)))
+    assert str(InputError("a  b")) == "a  b" and str(InputError()) == ""
+    long = str(InputError(f"a.toml: got {'0, ' * 5000}"))
+    assert len(long) == 10_000 and long.startswith("a.toml: got 0, ") and long.endswith("0, 0, ")
+    assert str(InputError(f"{'a' * 4000}: cannot be read")).endswith("aaa: cannot be read")
+
+
+def test_what_a_file_holds_does_not_make_an_error_long(tmp_path):
+    path = tmp_path / "a.toml"
+    for text in (
+        f"[[mixture]]\nshare = {[0] * 5000}\nrecipe = 'awgn'\n",
+        "[[stages]]\nname = 'unprocessed'\n[stages.unprocessed]\n"
+        "chain = [{stage = 'mosaic'}, {stage = 'crosstalk'}]\n",
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            find_degradation(str(path))
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("share", [10**400, "x", None, float("nan")], ids=["large", "text", "None", "nan"])
+def test_a_share_that_is_no_number_is_one_error(share):
+    with pytest.raises(InputError, match="shares of a mixture must be"):
+        Mixture({name: RECIPES[name]() for name in ("awgn", "amwgn")}, (share, 0.5))

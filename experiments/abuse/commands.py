@@ -22,7 +22,7 @@ COMMANDS = {
     "data list": "data list --json",
     "data fetch": "data fetch kodak",
     "develop": "develop {data}/pairs/scene0.dng -o {out}/a.png",
-    "recipe": "recipe {data}/a.toml -o {out}/b.toml",
+    "recipe": "recipe phone -o {out}/b.toml --noise {data}/noise.toml",
     "calibrate": "calibrate {data}/flats {data}/darks -o {out}/noise.toml --report {out}",
     "fit": "fit {data}/pairs -o {out}/camera.toml --steps 4 --demosaic demosaic_bilinear --median none",
     "degrade": "degrade {data}/clean -o {out} --recipe awgn --count 10 --resume",
@@ -102,7 +102,6 @@ def make_data(data: Path) -> None:
 
 
 def _make_data(data: Path) -> None:
-    from jaxisp.camera import standard_camera
     from jaxisp.cli import main
     from jaxisp.samples import PHONES, scenes, write_pairs
     from tests.calibrate import sensor
@@ -116,8 +115,12 @@ def _make_data(data: Path) -> None:
     flats, darks = sensor.frames(size=(128, 128))
     sensor.write(data, "flats", flats[:10])
     sensor.write(data, "darks", darks[:4])
-    standard_camera("demosaic_bilinear").save(data / "a.toml")
-    for call in (f"degrade {data}/clean -o {data}/noisy --recipe awgn", COMMANDS["train"]):
+    calls = (
+        "calibrate {data}/flats {data}/darks -o {data}/noise.toml",
+        "degrade {data}/clean -o {data}/noisy --recipe awgn",
+        COMMANDS["train"],
+    )
+    for call in calls:
         if main([w.format(data=data, out=data / "run") for w in call.split()]):
             raise RuntimeError(call)
 

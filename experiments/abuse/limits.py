@@ -25,10 +25,12 @@ SHARES = {
     "checkpoint": 1,
     "log": 1,
     "archive": 2,
+    "sums": 1,
+    "report": 1,
 }
 """Of the time, for each kind of reader."""
 
 
 def file_name(kind: str, suffix: str) -> str:
     """What an input is called."""
-    return "dataset.toml" if kind == "settings" else f"input{suffix}"
+    return {"settings": "dataset.toml", "sums": "checksums.json"}.get(kind, f"input{suffix}")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import json
 import struct
 import tarfile
 import zipfile
@@ -202,7 +203,22 @@ def _others() -> list[Seed]:
         Seed("network", ".npz", arrays.getvalue()),
         Seed("profile", ".icc", profile),
         *(Seed("archive", f".{kind}", data) for kind, data in _archives()),
+        Seed("sums", ".json", json.dumps({"https://a/b": f"md5:{'0' * 32}"}).encode()),
+        *(Seed("report", ".json", json.dumps(report).encode()) for report in _reports()),
     ]
+
+
+def _reports() -> Iterator[dict[str, Any]]:
+    """Of a fit, of an evaluation and of a diagnosis, as far as they are compared."""
+    figures = {"psnr": 31.0, "ssim": 0.9}
+    pair = {"name": "a", "psnr_in": 25.0, "psnr": 31.0, "held_out_psnr": 30.0, "held_out_ssim": 0.9}
+    yield {"pairs": [pair], "held_out": {**figures, "how": "tiles"}, "seconds": 2.5}
+    yield {"pairs": [pair], "mean": figures, "normalised": "as measured", "light": "linear"}
+    yield {
+        "verdict": "effect", "gap": {"metric": "m", "before": 2.0, "after": 1.0, "floor": 0.5},
+        "kind": "raw+jpeg", "causes": [{"effect": "prnu"}], "unexplained": {"share": 0.1}, "seconds": 3.0,
+        "ranking": [{"effect": "prnu", "closed": 0.5}], "where": [{"axis": "row", "share": 0.2}],
+    }  # fmt: skip
 
 
 def _archives() -> Iterator[tuple[str, bytes]]:

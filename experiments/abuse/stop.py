@@ -94,11 +94,13 @@ def stopped(
         return {"what": "did not stop"}
     said = log.read_text(errors="replace")
     found = {"seconds": seconds, "load": round(os.getloadavg()[0], 1), "delay": round(delay, 2)}
-    if status == -number or (number == signal.SIGINT and "Traceback" in said and anew and delay < 0.5):
+    # Python's own start tells of Ctrl-C by a traceback, in which the program has no line
+    if status == -number or (anew and "Traceback" in said and "jaxisp/__main__.py" not in said):
         return {"what": "early", **found}
     if status == 0 and LINE not in said:
         return {"what": "finished", **found}
-    if status != ENDINGS[number] or said != LINE + "\n":
+    lines = said.splitlines()  # `data fetch` tells the licence before
+    if status != ENDINGS[number] or lines[-1:] != [LINE] or not all(n.startswith("jaxisp: ") for n in lines):
         return {"what": "wrong", "status": status, "said": said[-800:], **found}
     return {"what": "right" if seconds < LATE else "late", **found}
 
@@ -201,6 +203,8 @@ def main() -> None:
         return
     import jaxisp.demo  # noqa: F401  (imports nearly everything, and starts no device)
 
+    # what a shell starts in the background ignores Ctrl-C, as would all that it starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     until = time.monotonic() + 60 * arguments.minutes
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(arguments.state / "compiled")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
@@ -212,7 +216,12 @@ def main() -> None:
     for times in range(step, arguments.times + step, step):  # all commands a little, then all again
         for name in names:
             if time.monotonic() < until and len(Runs(arguments.state, name).all()) < times:
-                campaign(name, min(times, arguments.times), arguments.state, arguments.state / "data", until)
+                try:
+                    campaign(
+                        name, min(times, arguments.times), arguments.state, arguments.state / "data", until
+                    )
+                except RuntimeError as error:  # of an undisturbed run: the others can still be tried
+                    print(error, flush=True)
     print(table(arguments.state))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.abuse import kept
 from jaxisp.calibrate.noise import Calibrated
+from jaxisp.data.catalogue import read_sums
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, read_jpeg, read_raw
 from jaxisp.io.icc import by_tables, profile_space
@@ -18,6 +19,7 @@ from jaxisp.io.settings import SettingsFile
 from jaxisp.models.files import read_arrays
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import find_degradation
+from jaxisp.report.compare import compare, comparison_page
 from jaxisp.train import TrainConfig
 
 
@@ -86,6 +88,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "checkpoint": kept.checkpoint,
     "log": kept.log,
     "archive": kept.archive,
+    "sums": lambda path: read_sums(path.parent),
+    "report": lambda path: comparison_page(compare(path, path)),
 }
 
 

@@ -159,17 +159,25 @@ def _is_raw(name: str) -> bool:
     return name.endswith((".raw.npy", *RAW_SUFFIXES))
 
 
-def read_stacks(paths: Iterable[Path], tick: Tick, what: str) -> list[Stack]:
-    """The frames by ISO, exposure, name of the scene, and light.
+def read_stacks(
+    paths: Iterable[Path], tick: Tick, what: str, failed: list[tuple[str, str]] | None = None
+) -> list[Stack]:
+    """The frames by ISO, exposure, name of the scene, and light; what cannot be read goes into `failed`.
 
     Raises:
-        InputError: a file cannot be read, is no Bayer mosaic, is too small, or differs from others in size
-            or pattern.
+        InputError: a file is no Bayer mosaic, is too small, or differs from others in size or pattern; no
+            file can be read, or one of them where `failed` is None.
     """
     files, stacks = list(paths), list[Stack]()
     for index, path in enumerate(files):
         tick(index, len(files), f"{what} frames")
-        raw = read_raw(path)
+        try:
+            raw = read_raw(path)
+        except InputError as error:
+            if failed is None or (path == files[-1] and not stacks):
+                raise
+            failed.append((str(path), str(error)))
+            continue
         _check(raw, stacks)
         stem = path.name[: -len(".raw.npy")] if path.name.lower().endswith(".raw.npy") else path.stem
         scene, frame = scene_and_frame(stem)

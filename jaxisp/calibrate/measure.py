@@ -42,7 +42,13 @@ COARSE = 0.24
 _GROUPS = 20  # of blocks that the jackknife leaves out in turn
 
 
-def calibrate(flats: PathLike, darks: PathLike, *, tick: Tick = lambda done, total, text: None) -> Calibrated:
+def calibrate(
+    flats: PathLike,
+    darks: PathLike,
+    *,
+    failed: list[tuple[str, str]] | None = None,
+    tick: Tick = lambda done, total, text: None,
+) -> Calibrated:
     """Measure a sensor's noise.
 
     Args:
@@ -50,6 +56,8 @@ def calibrate(flats: PathLike, darks: PathLike, *, tick: Tick = lambda done, tot
             light and exposure; more lights tell more. Or one file's path.
         darks: a folder of RAW frames with the lens covered, two or more of each exposure; at two exposure
             times they tell the dark signal.
+        failed: is given (file, reason) of frames that cannot be read, and the rest goes on; None: the first
+            one ends it.
         tick: called with (done, total, text).
 
     Returns:
@@ -59,8 +67,8 @@ def calibrate(flats: PathLike, darks: PathLike, *, tick: Tick = lambda done, tot
         InputError: a file cannot be read, frames are not of one sensor, or no ISO number has two flat frames
             of one light and two dark frames.
     """
-    dark = read_stacks(raw_files(darks), tick, "dark")
-    flat = read_stacks(raw_files(flats), tick, "flat")
+    dark = read_stacks(raw_files(darks), tick, "dark", failed)
+    flat = read_stacks(raw_files(flats), tick, "flat", failed)
     check_same_sensor(dark[0].first, dark[0].total.shape, flat[0].first, flat[0].total.shape)
     notes: list[str] = []
     found = []
@@ -79,7 +87,7 @@ def calibrate(flats: PathLike, darks: PathLike, *, tick: Tick = lambda done, tot
             if s.iso == iso and s.count == 1
         ]
     if not found:
-        raise InputError(f"{flats}: {'; '.join(notes)}")
+        raise InputError(f"{flats}: {'; '.join([*notes, *(reason for _, reason in failed or ())])}")
     first = flat[0].first
     camera = f"{first.make} {first.model}".strip()
     return Calibrated(camera, tuple(sorted(found, key=lambda n: n.iso or 0)), tuple(notes))

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from jaxisp.errors import InputError
-from jaxisp.io.files import PathLike, parse_toml, read_text, short, write_text
+from jaxisp.errors import InputError, short
+from jaxisp.io.files import PathLike, parse_toml, read_text, write_text
 from jaxisp.params import specs
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
@@ -231,22 +232,33 @@ def _figure(name: str, figure: Figure) -> dict[str, Any]:
     return {"value": float(figure.value), "error": float(figure.error), "unit": FIGURES[name][0]}
 
 
+def _number(value: Any) -> float:
+    if not abs(value) <= sys.float_info.max:  # of integers, too
+        raise ValueError(f"a number is {value}")
+    return float(value)
+
+
+def _measured(value: Any, error: Any) -> Figure:
+    """A figure, whose error may be infinite."""
+    return Figure(_number(value), math.inf if error == math.inf else _number(error))
+
+
 def _noise(table: dict[str, Any]) -> Noise:
-    figures = {n: Figure(float(f["value"]), float(f["error"])) for n, f in table["figures"].items()}
+    figures = {n: _measured(f["value"], f["error"]) for n, f in table["figures"].items()}
     unknown = set(figures) - set(FIGURES)
     missing = {"shot", "read"} - set(figures)
-    if unknown or missing or not all(math.isfinite(f.value) for f in figures.values()):
+    if unknown or missing:
         raise ValueError(f"figures {sorted(figures)}")
     stated = table.get("stated")
     iso = table.get("iso")
     return Noise(
-        None if iso is None else float(iso),
+        None if iso is None else _number(iso),
         figures,
-        float(table["black"]),
-        float(table["white"]),
+        _number(table["black"]),
+        _number(table["white"]),
         str(table["cfa"]),
-        tuple(Figure(float(v), float(e)) for v, e in table.get("shot_by_place", ())),
-        None if stated is None else (float(stated[0]), float(stated[1])),
+        tuple(_measured(v, e) for v, e in table.get("shot_by_place", ())),
+        None if stated is None else (_number(stated[0]), _number(stated[1])),
         tuple(map(int, table.get("frames", (0, 0)))),  # type: ignore[arg-type]
     )
 

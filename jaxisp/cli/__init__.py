@@ -27,6 +27,7 @@ from jaxisp.cli.common import Parser, flush, warn
 from jaxisp.errors import InputError
 from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
+from jaxisp.process.environment import check_environment, without_device
 
 _MODULES = (
     demo, develop, fit, calibrate, recipe, degrade, train, denoise, evaluate, diagnose, compare, data,
@@ -61,6 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     try:
         if argv is None:
+            check_environment()
             keep_compiled()
         status = int(arguments.run(arguments))
         flush()
@@ -77,4 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None or signals.came():
             raise
         warn(f"{os.fsdecode(error.filename)}: cannot be used: {(error.strerror or str(error)).lower()}")
+        return 2
+    except Exception:
+        if signals.came() or not (why := without_device()):
+            raise
+        warn(why)
         return 2

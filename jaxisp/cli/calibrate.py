@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, print_table, progress, say, warn
+from jaxisp.cli.common import add_command, print_json, print_table, progress, report_failures, say, warn
 
 
 def add_commands(commands: Any) -> None:
@@ -30,11 +30,12 @@ def run(arguments: Namespace) -> int:
     from jaxisp.io.files import filled_file
 
     inputs = [p for folder in (arguments.flats, arguments.darks) for p in raw_files(folder)]
+    failed: list[tuple[str, str]] = []
     with ExitStack() as stack, progress("calibrating") as tick:
         stack.enter_context(filled_file(arguments.out, [*inputs, *_settings(inputs)]))
         if arguments.report:
             output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
-        found = calibrate(arguments.flats, arguments.darks, tick=tick)
+        found = calibrate(arguments.flats, arguments.darks, failed=failed, tick=tick)
         found.save(arguments.out)
         if arguments.report:
             write_page(found, arguments.report)
@@ -52,13 +53,14 @@ def run(arguments: Namespace) -> int:
             for n in found.noise
         ]
         about = {"noise_file": arguments.out, "camera": found.camera, "notes": found.notes}
-        print_json({**about, "noise": noise})
-        return 0
+        left_out = [{"file": name, "reason": reason} for name, reason in failed]
+        print_json({**about, "noise": noise, "failed": left_out})
+        return report_failures(failed)
     for one in found.noise:
         say("without an ISO number" if one.iso is None else f"ISO {one.iso:g}")
         print_table(("  figure", "value", "standard error", "unit", ""), list(figure_rows(one)))
     say(arguments.out)
-    return 0
+    return report_failures(failed)
 
 
 def _settings(inputs: list[Path]) -> list[Path]:

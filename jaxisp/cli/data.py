@@ -26,7 +26,7 @@ def run_list(arguments: Namespace) -> int:
     for s in sets:
         say(f"{s['name']}: {s['title']}")
         say(f"    for {s['use']}; {s['size']}; licence: {s['licence']}; {_state(s)}")
-        say(f"    {s['page']}")
+        say(f"    {s['page']}" + ("; no checksum is published" if s["unpinned"] else ""))
     say(f"folder: {data_folder()} (JAXISP_DATA changes that)")
     return 0
 
@@ -36,10 +36,13 @@ def _state(row: dict[str, Any]) -> str:
 
 
 def run_fetch(arguments: Namespace) -> int:
-    from jaxisp.data.catalogue import fetch, find_set
+    from jaxisp.data.catalogue import SUMS, fetch, find_set, is_fetched
 
     wanted = find_set(arguments.name)
     warn(f"{wanted.title}; licence: {wanted.licence} ({wanted.page})")
+    if wanted.unpinned and not is_fetched(wanted.name):
+        names = ", ".join(wanted.unpinned)
+        warn(f"no checksum is published of {names}: the first that comes is trusted, and noted in {SUMS}")
     with progress(f"fetching {wanted.name}") as tick:
         folder = fetch(wanted, tick=tick)
     if arguments.json:

@@ -56,8 +56,10 @@ def add_commands(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     from jaxisp.gap.report.page import plain
     from jaxisp.io import filled_folder, output_file
+    from jaxisp.io.locks import locked
 
-    with filled_folder(arguments.out) as folder:  # a fault here should not cost a diagnosis
+    # a fault here should not cost a diagnosis
+    with filled_folder(arguments.out) as folder, locked(folder, doing="diagnosing"):
         for name in ("report.json", "report.html"):
             output_file(folder / name)
         if arguments.downstream:

@@ -136,8 +136,11 @@ def _recipe(camera: Any, arguments: Namespace) -> Any:
 @contextmanager
 def _places(arguments: Namespace) -> Iterator[None]:
     """Where results go is tried first: a fault there should not cost a fit."""
+    import jax
+
     from jaxisp.io import filled_folder, output_file
     from jaxisp.io.files import filled_file
+    from jaxisp.io.locks import locked
 
     with ExitStack() as stack:
         inputs = [Path(arguments.dataset, "dataset.toml")]
@@ -146,7 +149,10 @@ def _places(arguments: Namespace) -> Iterator[None]:
         if arguments.recipe:
             stack.enter_context(filled_file(arguments.recipe, [*inputs, arguments.out]))
         if arguments.report:
-            output_file(stack.enter_context(filled_folder(arguments.report)) / "report.html")
+            report = stack.enter_context(filled_folder(arguments.report))
+            if jax.process_index() == 0:
+                stack.enter_context(locked(report, name=".report.lock", doing="fitting"))
+            output_file(report / "report.html")
         yield
 
 

@@ -7,6 +7,7 @@ which says where its files came from and what their checksums are.
 import dataclasses
 import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -14,14 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.data.unpack import unpack
-from jaxisp.errors import InputError
-from jaxisp.io.files import output_folder, read_json, write_text, writing
+from jaxisp.errors import InputError, short
+from jaxisp.io.files import kind_of, output_folder, read_json, write_text, writing
 from jaxisp.io.locks import locked
 from jaxisp.process.cache import user_cache
 
 SWITCH = "JAXISP_DATA"
 """Environment variable: the folder that holds the sets, one folder each, in place of the user's cache."""
 SOURCE, SUMS = "SOURCE.json", "checksums.json"
+_DIGEST = re.compile("md5:[0-9a-f]{32}|sha256:[0-9a-f]{64}")
 Tick = Callable[[int, int, str], Any]
 
 
@@ -56,8 +58,13 @@ class PublicSet:
     files: tuple[RemoteFile, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        table = dataclasses.asdict(self)
-        return {**table, "fetched": is_fetched(self.name), "folder": str(data_folder() / self.name)}
+        place = {"fetched": is_fetched(self.name), "folder": str(data_folder() / self.name)}
+        return {**dataclasses.asdict(self), "unpinned": list(self.unpinned), **place}
+
+    @property
+    def unpinned(self) -> tuple[str, ...]:
+        """The files of which no checksum is published: the first that comes is trusted."""
+        return tuple(file.name for file in self.files if file.digest is None)
 
 
 _ETH = "https://data.vision.ee.ethz.ch/cvl"
@@ -155,9 +162,15 @@ SETS = {
 
 
 def data_folder() -> Path:
-    """Where the sets are on this machine."""
-    chosen = os.environ.get(SWITCH)
-    return Path(chosen).expanduser() if chosen else user_cache() / "data"
+    """Where the sets are on this machine. InputError where no place is named and the user has no home."""
+    if chosen := os.environ.get(SWITCH):
+        try:
+            return Path(chosen).expanduser()
+        except RuntimeError as error:
+            raise InputError(f"{SWITCH}={chosen}: there is no such home") from error
+    if cache := user_cache():
+        return cache / "data"
+    raise InputError(f"there is no home folder to keep data sets in: set {SWITCH} to a folder")
 
 
 def is_fetched(name: str) -> bool:
@@ -179,14 +192,15 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
     """The folder of a data set, downloaded unless it is there.
 
     A download that was interrupted goes on where it stopped. Files with a known checksum are checked; of
-    the others it is written down, and compared when they are fetched again.
+    the others (`PublicSet.unpinned`) it is written down, and compared when they are fetched again.
 
     Args:
         name: of a set in `SETS`.
         tick: called with (bytes done, bytes in all, file name).
 
     Raises:
-        InputError: no such set, no network, no room, or a file is not the one it should be.
+        InputError: no such set, no network, no room, a file is not the one it should be, or something else
+            stands where the set, or what has come of it, has to be.
     """
     wanted = find_set(name) if isinstance(name, str) else name
     root, folder = data_folder(), data_folder() / wanted.name
@@ -197,17 +211,23 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
             f"{wanted.name}: no program can fetch it; get it from {wanted.page} and put it into {folder}"
         )
     partial = root / f".{wanted.name}.partial"
-    with locked(root, name=f".{wanted.name}.lock"):
+    with locked(root, name=f".{wanted.name}.lock", doing="fetching"):
         if is_fetched(wanted.name):  # by another process meanwhile
             return folder
+        _check_place(folder)
+        _check_place(partial)
+        sums = read_sums(root)
         with writing(folder):
-            found = [_fetch_file(wanted, file, output_folder(partial), tick) for file in wanted.files]
+            found = [
+                _fetch_file(wanted, f, output_folder(partial), sums.get(f.url), tick) for f in wanted.files
+            ]
             for file in wanted.files:
                 _unpack(partial / file.name, file.archive)
             for file in wanted.files:  # not before: what kills an unpacking should not cost the download
                 if file.archive:
                     (partial / file.name).unlink()
-            _note(root / SUMS, {f["url"]: f"sha256:{f['sha256']}" for f in found} | _sums(root))
+            with locked(root, name=f".{SUMS}.lock", wait=True):  # another may fetch another set
+                _note(root / SUMS, {f["url"]: f"sha256:{f['sha256']}" for f in found} | read_sums(root))
             about = {**dataclasses.asdict(wanted), "files": found, "fetched": time.strftime("%F")}
             _note(partial / SOURCE, about)
             if os.path.lexists(folder):
@@ -216,10 +236,18 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
     return folder
 
 
-def _fetch_file(wanted: PublicSet, file: RemoteFile, partial: Path, tick: Tick) -> dict[str, Any]:
+def _check_place(folder: Path) -> None:
+    """Raise InputError where something else than a folder stands: no link is followed, or replaced."""
+    if os.path.lexists(folder) and (kind := kind_of(os.lstat(folder).st_mode)) != "a folder":
+        raise InputError(f"{folder}: is {kind or 'a file'}, where a folder has to be; move it away")
+
+
+def _fetch_file(
+    wanted: PublicSet, file: RemoteFile, partial: Path, before: str | None, tick: Tick
+) -> dict[str, Any]:
     from jaxisp.data.download import digest_of, download
 
-    expected = file.digest or _sums(partial.parent).get(file.url)
+    expected = file.digest or before
     try:
         path = download(file.url, partial / file.name, expected, tick)
     except ConnectionError as error:
@@ -259,10 +287,21 @@ def _unpack(path: Path, archive: str | None) -> None:
         shutil.rmtree(unpacked, ignore_errors=True)
 
 
-def _sums(root: Path) -> dict[str, str]:
-    """Checksums of files fetched before, by URL. InputError where they are damaged."""
-    table = read_json(root / SUMS) if os.path.lexists(root / SUMS) else {}
-    return {k: v for k, v in table.items() if isinstance(v, str)}
+def read_sums(root: Path) -> dict[str, str]:
+    """Checksums of files fetched before, by URL.
+
+    Raises:
+        InputError: they are damaged, or another program's: what was trusted once has to stay so.
+    """
+    path = root / SUMS
+    table = read_json(path) if os.path.lexists(path) else {}
+    for url, digest in table.items():
+        if "://" not in url or not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
+            raise InputError(
+                f"{path}: {short(url)} has {short(digest)}, expected a URL with md5: or sha256: and digits; "
+                "it is damaged, or another program's"
+            )
+    return table
 
 
 def _note(path: Path, table: dict[str, Any]) -> None:

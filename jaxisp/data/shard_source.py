@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxisp.errors import InputError, one_line
+from jaxisp.errors import InputError, one_line, short
 from jaxisp.io.digests import is_file_of, read_sealed
-from jaxisp.io.files import parse_json, read_json, short
+from jaxisp.io.files import parse_json, read_json
 from jaxisp.recipe import Recipe
 
 MANIFEST = "manifest.json"
@@ -58,7 +58,14 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     for key, kind in (("recipe", str), ("recipe_sha256", str), ("seed", int)):
         if not isinstance(manifest.get(key), kind):
             raise InputError(f"{path}: says no {key}")
+    inputs = manifest.get("inputs", [])
+    if not isinstance(inputs, list) or not all(map(_is_input, inputs)):
+        raise InputError(f"{path}: its inputs are no names with digests")
     return manifest
+
+
+def _is_input(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(v, str) for v in value)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -4,12 +4,13 @@ A shard is a job: any machine can write any of them, in any order, and a job tha
 What sample k is follows from the inputs, the recipe, the seed and k alone.
 """
 
+import contextlib
 import io
 import json
 import os
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -138,24 +139,33 @@ def _write_shard(work: Work, out: Path, shard: int, shards: int, outcome: Outcom
     path, note = out / f"{name}.array_record", out / f"{name}.json"
     indices = []
     check_output(note, work.inputs_real)
-    try:
-        with atomic_write(path) as file:
-            place = f"/dev/fd/{file.fileno()}"  # it has no name before it is whole
+    with atomic_write(path) as file:
+        place = f"/dev/fd/{file.fileno()}"  # it has no name before it is whole
+        with _recording(path):
             writer = array_record().ArrayRecordWriter(place, "group_size:1,zstd:1")
-            for degraded in work.run(which, own):
+        for degraded in work.run(which, own):
+            with _recording(path):
                 writer.write(encode_record(degraded))
-                indices.append(degraded.sample.index)
-                outcome.images += 1
-                tick(outcome.images + outcome.kept)
+            indices.append(degraded.sample.index)
+            outcome.images += 1
+            tick(outcome.images + outcome.kept)
+        with _recording(path):
             whole = writer.ok()
             writer.close()
             if not whole or _count(place) != len(indices):
                 raise OSError(0, "the disk may be full")
-    except RuntimeError as error:  # what array_record raises for any trouble with its file
-        raise InputError(f"{path}: cannot be written: {one_line(error)}") from error
     outcome.failed += own.failed
     told = {"bytes": path.stat().st_size, "sha256": digest_of(path), "indices": indices, "failed": own.failed}
     write_text(note, sealed_json(json.dumps(told)))  # the last: where it stands the shard is whole
+
+
+@contextlib.contextmanager
+def _recording(path: Path) -> Iterator[None]:
+    """InputError that names the path for what array_record raises, a RuntimeError for any trouble."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be written: {one_line(error)}") from error
 
 
 def _count(place: str) -> int:

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO
 
-from jaxisp.errors import InputError, one_line
-from jaxisp.io.files import MOST_NAME, short
+from jaxisp.errors import InputError, one_line, short
+from jaxisp.io.files import MOST_NAME
 
 MOST_FILES = 100_000
 _MOST_PATH = 1000  # bytes of a name with its folders

@@ -10,7 +10,6 @@ from jaxisp.domains import ENCODED, accepts
 from jaxisp.encoder import ENCODER, encoder_of
 from jaxisp.errors import InputError, meant
 from jaxisp.io import Jpeg
-from jaxisp.io.files import short
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
 from jaxisp.stages import STAGES

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp.cfa import PATTERNS, XTRANS, is_xtrans
-from jaxisp.errors import InputError
-from jaxisp.io.files import short
+from jaxisp.errors import InputError, short
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from jaxisp.io.files import (
     PathLike,
     files_below,
     open_input,
-    output_folder,
     parse_json,
     read_text,
     reason,
     write_text,
     writing,
 )
+from jaxisp.io.locks import LOCK, locked
 
 UNSEALED = "0" * 64
 """Stands in a text for its own digest, which is that of the text with this in it."""
@@ -99,7 +99,7 @@ def note_files(folder: Path, name: str) -> None:
 def noted_files(folder: Path, name: str) -> dict[str, str]:
     """The digests that `note_files` wrote, by relative path. InputError where they are missing or damaged."""
     files = parse_json(read_sealed(folder / name), str(folder / name)).get("files")
-    if not isinstance(files, dict):
+    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
         raise InputError(f"{folder / name}: holds no digests of files")
     return files
 
@@ -112,7 +112,7 @@ def changed_files(folder: Path, name: str) -> list[Path]:
 
 
 def _files(folder: Path, name: str) -> list[Path]:
-    return [path for path in files_below(folder) if path != folder / name]
+    return [path for path in files_below(folder) if path not in (folder / name, folder / LOCK)]
 
 
 @contextlib.contextmanager
@@ -122,26 +122,27 @@ def own_folder(place: PathLike, name: str) -> Iterator[Path]:
     What an earlier call noted is removed first.
 
     Raises:
-        InputError: other files, or files that were changed since, are in it.
+        InputError: other files, or files that were changed since, are in it; another process writes there.
     """
-    folder = output_folder(place)
-    if there := _files(folder, name):
+    folder = Path(place)
+    with locked(folder):
+        if there := _files(folder, name):
+            try:
+                others = changed_files(folder, name)
+            except InputError:
+                others = there
+            if others:
+                raise InputError(
+                    f"{folder}: holds {others[0].relative_to(folder)}, which is none of the files written "
+                    "here before; choose a new or empty folder"
+                )
+        with writing(folder):
+            for path in there:
+                path.unlink()
+            for base, _, _ in sorted(os.walk(folder), reverse=True):
+                with contextlib.suppress(OSError):  # it has something in it
+                    os.rmdir(base)
         try:
-            others = changed_files(folder, name)
-        except InputError:
-            others = there
-        if others:
-            raise InputError(
-                f"{folder}: holds {others[0].relative_to(folder)}, which is none of the files written here "
-                "before; choose a new or empty folder"
-            )
-    with writing(folder):
-        for path in there:
-            path.unlink()
-        for base, _, _ in sorted(os.walk(folder), reverse=True):
-            with contextlib.suppress(OSError):  # it has something in it
-                os.rmdir(base)
-    try:
-        yield output_folder(folder)
-    finally:
-        note_files(folder, name)
+            yield folder
+        finally:
+            note_files(folder, name)

@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 import stat
+import sys
 import tempfile
 import tomllib
 import warnings
@@ -54,10 +55,19 @@ def sound_path(path: PathLike) -> Path:
     try:
         text = str(path).encode()
     except UnicodeEncodeError as error:
-        raise InputError(f"{path}: its name is not UTF-8; rename it") from error
+        raise InputError(f"{path}: {_unnamable(path)}") from error
     if b"\0" in text:
         raise InputError(f"{path}: has a NUL in its name, which no file can have")
     return path
+
+
+def _unnamable(path: Path) -> str:
+    """Why a path is no text."""
+    try:
+        os.fsencode(path).decode()
+    except UnicodeError:
+        return "its name is not UTF-8; rename it"
+    return f"its name is not {sys.getfilesystemencoding()}, which this locale has; set LC_ALL=C.UTF-8"
 
 
 def kind_of(mode: int) -> str:
@@ -67,6 +77,11 @@ def kind_of(mode: int) -> str:
         stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
     }  # fmt: skip
     return "" if stat.S_ISREG(mode) else kinds.get(stat.S_IFMT(mode), "no plain file")
+
+
+def leads_nowhere(path: PathLike) -> bool:
+    """Whether a path is a link, at the end of which nothing is."""
+    return os.path.islink(path) and not os.path.exists(path)
 
 
 def open_input(path: PathLike) -> io.BufferedReader:
@@ -102,6 +117,24 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+
+
+def file_state(path: PathLike) -> tuple[int, ...]:
+    """What changes with a file: its size [bytes] and its time [ns]; InputError where it is gone."""
+    path = sound_path(path)
+    with _reading(path):
+        status = os.stat(path)
+    return status.st_size, status.st_mtime_ns
+
+
+@contextlib.contextmanager
+def steady(path: Path) -> Iterator[None]:
+    """For what reads a file in several parts: InputError where it goes or changes meanwhile."""
+    before = file_state(path)
+    with _reading(path):
+        yield
+    if file_state(path) != before:
+        raise InputError(f"{path}: changed while it was read")
 
 
 def check_file(path: PathLike) -> Path:
@@ -170,15 +203,6 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: is not valid TOML: {' '.join(message.split())}") from error
 
 
-def short(value: Any) -> str:
-    """A value as it may stand in one line of an error."""
-    try:
-        text = " ".join(repr(value).split())
-    except RecursionError:
-        text = "tables nested too deeply"
-    return text if len(text) < 120 else text[:120] + "..."
-
-
 def _check_depth(table: Any, name: str) -> None:
     """Dotted keys nest without end and without recursion; what walks the tables afterwards recurses."""
     level = [table]
@@ -196,7 +220,12 @@ def load_npy(path: PathLike) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's note on headers of Python 2
-            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+            np.load(path, mmap_mode="r", allow_pickle=False)  # the file has the bytes that its header says
+            # read, not copied from the map: a file that is cut meanwhile would end the process
+            found = np.load(path, allow_pickle=False)
+            if not isinstance(found, np.ndarray):  # an archive of several
+                raise ValueError("holds no single array")
+            return found
     except Exception as error:  # its header is parsed as Python, which fails in many ways
         raise InputError(f"{path}: is a damaged or truncated NumPy file ({one_line(error)})") from error
 
@@ -339,6 +368,8 @@ def _remove(path: Path | None) -> None:
 def output_folder(path: PathLike) -> Path:
     """Make a folder (and those above it); InputError where nothing can be written into it."""
     path = sound_path(path)
+    if leads_nowhere(path):
+        raise InputError(f"{path}: cannot be written: is a link that leads nowhere")
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
@@ -401,6 +432,7 @@ def list_folder(folder: PathLike) -> list[Path]:
     folder = sound_path(folder)
     if not os.path.isdir(folder):
         what = "is a file" if os.path.lexists(folder) else "no such folder"
+        what = "is a link that leads nowhere" if leads_nowhere(folder) else what
         raise InputError(f"{folder}: {what}, expected a folder")
     files, closed = _walk(folder, recursive=False)
     for error in closed:

@@ -66,10 +66,12 @@ def read_image(path: PathLike, *, linear: bool = False) -> np.ndarray:
 def read_with_header(path: PathLike, *, linear: bool = False) -> tuple[np.ndarray, Jpeg | None]:
     """As `read_image`, and the file where it is a JPEG."""
     path = check_file(path)
-    suffix = path.suffix.lower()
-    if suffix == ".npy":
+    if path.suffix.lower() == ".npy":
         return _read_npy(path, linear), None
-    data = read_bytes(path)
+    return _decoded(path, read_bytes(path), linear)
+
+
+def _decoded(path: Path, data: bytes, linear: bool = False) -> tuple[np.ndarray, Jpeg | None]:
     if data[:2] == b"\xff\xd8":
         file = decode_jpeg(data, str(path))
         return np.ascontiguousarray(file.upright), file
@@ -95,12 +97,14 @@ def read_as_stored(path: PathLike) -> tuple[np.ndarray, dict[str, bytes]]:
     Raises:
         InputError: what `read_image` raises.
     """
-    image, path = read_image(path), Path(path)
+    path = check_file(path)
     if path.suffix.lower() == ".npy":
-        return image, {}
+        return read_image(path), {}
+    data = read_bytes(path)
+    image = _decoded(path, data)[0]
     with silent_libraries(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with Image.open(path) as picture:
+        with Image.open(io.BytesIO(data)) as picture:
             info, stored = picture.info, picture.mode == "RGB" and picture.format in ("JPEG", "MPO", "PNG")
             if not stored or (picture.format == "PNG" and {"gamma", "chromaticity"} & set(info)):
                 return image, {}

@@ -10,7 +10,7 @@ import rawpy
 
 from jaxisp.cfa import PATTERNS, is_xtrans, size
 from jaxisp.errors import InputError
-from jaxisp.io.files import PathLike, check_file, check_pixels
+from jaxisp.io.files import PathLike, check_file, check_pixels, steady
 from jaxisp.io.jpeg_frame import frame_header
 from jaxisp.io.silence import silent_libraries
 
@@ -89,7 +89,7 @@ def white_gains(values: Any) -> np.ndarray:
 def embedded_jpeg(path: PathLike) -> bytes | None:
     """The JPEG inside a RAW file, where it has one that is as large as the picture; else None."""
     path = check_file(path)
-    with opened(path) as raw:
+    with steady(path), opened(path) as raw:
         try:
             thumb = raw.extract_thumb()
         except (rawpy.LibRawError, rawpy.NotSupportedError):

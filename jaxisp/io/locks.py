@@ -9,6 +9,7 @@ from pathlib import Path
 from jaxisp.errors import InputError
 from jaxisp.io.files import PathLike, kind_of, output_folder, writing
 
+LOCK = ".lock"
 _OURS = b"jaxisp works here, or was killed here. To be deleted when none does.\n"
 
 
@@ -16,7 +17,7 @@ _OURS = b"jaxisp works here, or was killed here. To be deleted when none does.\n
 def locked(
     folder: PathLike,
     *,
-    name: str = ".lock",
+    name: str = LOCK,
     shared: bool = False,
     wait: bool = False,
     doing: str = "writing",
@@ -34,18 +35,22 @@ def locked(
 
     Raises:
         InputError: another process holds it, the folder cannot be written, or something else than a lock
-            has its name.
+            has its name; or, at the end, folder or lock were removed meanwhile.
     """
     path = output_folder(folder) / name
     kind = (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB)
     lock = _lock(path, kind, doing)
     try:
         yield
+        if not _has_its_name(path, lock):
+            raise InputError(
+                f"{path}: was removed, or its folder was, while this was {doing} there: files may be missing"
+            )
     finally:
         with contextlib.suppress(OSError):
             if shared:  # another may still hold this very file
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _content(lock) == _OURS:
+            if _has_its_name(path, lock) and _content(lock) == _OURS:
                 path.unlink()
         os.close(lock)
 
@@ -68,10 +73,17 @@ def _lock(path: Path, kind: int, doing: str) -> int:
         except BaseException:
             os.close(lock)
             raise
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(lock), os.lstat(path)):
-                return lock
+        if _has_its_name(path, lock):
+            return lock
         os.close(lock)
+
+
+def _has_its_name(path: Path, lock: int) -> bool:
+    """Whether the lock file still stands there, and not that of another process."""
+    try:
+        return os.path.samestat(os.fstat(lock), os.lstat(path))
+    except OSError:
+        return False
 
 
 def _opened(path: Path) -> int | None:

@@ -20,7 +20,7 @@ from jaxisp.io.calibration import (
     white_xy,
 )
 from jaxisp.io.description import RawDescription
-from jaxisp.io.files import PathLike, check_file, load_npy
+from jaxisp.io.files import PathLike, check_file, load_npy, steady
 from jaxisp.io.libraw import (
     camera_crop,
     check_cells,
@@ -144,6 +144,11 @@ def read_raw(
     if quad not in ("bin", "remosaic"):
         raise ValueError(f"read_raw: quad must be bin or remosaic, got {quad!r}")
     path = check_file(path)
+    with steady(path):
+        return _read(path, description, quad)
+
+
+def _read(path: Path, description: RawDescription | None, quad: str) -> Raw:
     is_npy = path.suffix.lower() == ".npy"
     bare = is_npy or _is_headerless(path)
     if description is None:

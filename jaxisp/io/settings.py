@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, short
 from jaxisp.io.description import RawDescription, describe
-from jaxisp.io.files import read_toml, short
+from jaxisp.io.files import read_toml
 
 _FRAME = re.compile(r"(.+)\.f(\d{2,})")
 

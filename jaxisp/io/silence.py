@@ -5,6 +5,8 @@ import os
 import threading
 from collections.abc import Iterator
 
+from jaxisp.process import signals
+
 _LOCK = threading.Lock()
 _STDERR = 2
 _users = 0
@@ -43,6 +45,7 @@ def _leave() -> None:
         _users -= 1
         if _users or _kept is None:
             return
-        os.dup2(_kept, _STDERR)
+        if signals.came() is None:  # one has closed it for good
+            os.dup2(_kept, _STDERR)
         os.close(_kept)
         _kept = None

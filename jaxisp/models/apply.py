@@ -1,7 +1,8 @@
 """Networks as denoisers of pictures and files, and the one that comes with the package."""
 
+import contextlib
 import time
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from flax import nnx
 from jaxisp.errors import InputError
 from jaxisp.io.files import check_output, find_images, output_folder, real_paths
 from jaxisp.io.images import read_as_stored, write_png
+from jaxisp.io.locks import locked
 from jaxisp.models import read_network
 from jaxisp.models.inference import denoise
+from jaxisp.process.memory import forget_beyond
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 SHIPPED = "general.npz"
@@ -68,7 +71,8 @@ def denoise_files(
     """Write OUT/STEM.png for each picture, or one picture as OUT where that ends in `.png`.
 
     JPEGs and PNGs are denoised in their own colour space and as they lie; their EXIF and their colour profile
-    go with them. Others are written upright in sRGB.
+    go with them. Others are written upright in sRGB. After some sizes the programs of all are forgotten,
+    those of others in the process too: see `forget_compiled`.
 
     Args:
         denoiser: of encoded pictures.
@@ -82,32 +86,36 @@ def denoise_files(
         {"images", "seconds", "failed"}: failed has (file, reason) of what could not be used.
 
     Raises:
-        InputError: no input, the folder cannot be written, or the tile is too small for the network; a file
-            is given for more pictures than one.
+        InputError: no input, the folder cannot be written, or another process writes into it; the tile is too
+            small for the network; a file is given for more pictures than one.
     """
     paths, out, name = find_images(inputs), Path(out), None
     if out.suffix.lower() == ".png" and not out.is_dir():
         if len(paths) > 1:
             raise InputError(f"{out}: is one file, and there are {len(paths)} pictures; give a folder")
         out, name = out.parent, out.name
-    out, given = output_folder(out), real_paths(paths)
-    clock, failed = time.perf_counter(), []
+    out, given, clock = output_folder(out), real_paths(paths), time.perf_counter()
     done: dict[str, Path] = {}
-    for path in paths:
-        target = out / (name or f"{path.stem}.png")
-        try:
-            picture, kept = _read(path, target, done, given)
-        except InputError as error:
-            failed.append((str(path), str(error)))
-            continue
-        # a tile that is too small is so for all: not caught
-        denoised = denoiser(picture, tile=tile, strength=strength)
-        if np.isnan(denoised).any():
-            failed.append((str(path), f"{path}: the network makes NaN of it"))
-            continue
-        write_png(target, denoised, **kept)
-        done[path.stem] = path
-        tick(len(done), len(paths), path.name)
+    failed: list[tuple[str, str]] = []
+    sizes: set[Hashable] = set()
+    # a single file is written at once: nobody else's can come between
+    with contextlib.nullcontext() if name else locked(out):
+        for path in paths:
+            target = out / (name or f"{path.stem}.png")
+            try:
+                picture, kept = _read(path, target, done, given)
+            except InputError as error:
+                failed.append((str(path), str(error)))
+                continue
+            forget_beyond(sizes, picture.shape)
+            # a tile that is too small is so for all: not caught
+            denoised = denoiser(picture, tile=tile, strength=strength)
+            if np.isnan(denoised).any():
+                failed.append((str(path), f"{path}: the network makes NaN of it"))
+                continue
+            write_png(target, denoised, **kept)
+            done[path.stem] = path
+            tick(len(done), len(paths), path.name)
     return {"images": len(done), "seconds": round(time.perf_counter() - clock, 3), "failed": failed}
 
 

@@ -17,18 +17,20 @@ SHORTEST = 0.2
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept on this machine; None where that is switched off."""
+    """Where compiled programs are kept on this machine; None where that is switched off, or nowhere."""
     chosen = os.environ.get(SWITCH, "")
     if chosen.lower() in ("off", "0", "no", "false"):
         return None
-    return (Path(chosen) if chosen else user_cache()) / f"programs-{_processor()}"
+    base = Path(chosen) if chosen else user_cache()
+    return base / f"programs-{_processor()}" if base else None
 
 
-def user_cache() -> Path:
-    """The user's folder for what can be made or fetched again."""
+def user_cache() -> Path | None:
+    """The user's folder for what can be made or fetched again; None for a user without a home."""
     home = os.environ.get("XDG_CACHE_HOME", "")
-    # the standard has a relative path ignored
-    return (Path(home) if os.path.isabs(home) else Path("~/.cache").expanduser()) / "jaxisp"
+    if not os.path.isabs(home):  # which the standard has ignored
+        home = os.path.expanduser("~/.cache")
+    return Path(home) / "jaxisp" if os.path.isabs(home) else None
 
 
 def keep_compiled(folder: str | Path | None = None) -> Path | None:
@@ -53,13 +55,14 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
+    # a process that was killed while it wrote one leaves it cut short: it is compiled again; as all are where
+    # the folder cannot be used
+    warnings.filterwarnings("ignore", "Error (read|writ)ing persistent compilation cache entry", UserWarning)
     if already := jax.config.values["jax_compilation_cache_dir"]:
         return Path(already)
     found = cache_folder() if folder is None else Path(folder)
     if found is None or not _writable(found):
         return None
-    # a process that was killed while it wrote one leaves it cut short: it is compiled again
-    warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry", UserWarning)
     jax.config.update("jax_compilation_cache_dir", str(found))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
     return found

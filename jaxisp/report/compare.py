@@ -1,7 +1,7 @@
 """Two reports of one kind side by side: of fits, of diagnoses or of evaluations."""
 
-import math
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from jaxisp.report.page import Page
 REPORT = "report.json"
 """What a folder that is given has the report in."""
 
+_LARGEST = sys.float_info.max
 Report = Mapping[str, Any]
 Value = tuple[str, str, str, Any]
 """The group, the name, the unit and the value of a figure."""
@@ -103,7 +104,8 @@ def _change(old: Any, new: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    """Whether it is one that a float can hold: JSON has integers of any length."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 def _values(kind: str, path: str | Path, report: Report) -> dict[tuple[str, str, str], Any]:

@@ -1,8 +1,11 @@
 """Checkpoints of a run: written whole or not at all, the newest few and the best are kept."""
 
+import contextlib
 import logging
 import shutil
 import tempfile
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import orbax.checkpoint as ocp
 from jaxisp.errors import InputError, one_line
 from jaxisp.io.digests import changed_files, note_files
 from jaxisp.io.files import reason
+from jaxisp.io.silence import silent_libraries
 from jaxisp.train.step import State
 
 FOLDERS = ("best", "last")
@@ -21,6 +25,8 @@ _OVERHEAD = 1 << 20  # bytes of a checkpoint besides its arrays, at the most
 
 _RAISED = ("_SignalingThread.run() raised", "Metadata file does not exist")
 """What orbax logs besides raising it, its threads even after that: it is told once, by an InputError."""
+_LATE = 0.3
+"""Seconds that tensorstore's threads may still print something, after the error of a damaged file."""
 
 
 class Checkpoints:
@@ -43,10 +49,11 @@ class Checkpoints:
         self.run = run
         logging.getLogger("absl").addFilter(_is_news)  # one filter, however often it is added
         try:
-            self._managers = {
-                name: _manager(run / "checkpoints" / name, count, reading)
-                for name, count in zip(FOLDERS, (1, keep))
-            }
+            with silent_libraries():
+                self._managers = {
+                    name: _manager(run / "checkpoints" / name, count, reading)
+                    for name, count in zip(FOLDERS, (1, keep))
+                }
         except OSError as error:
             verb = "read" if reading else "written"
             raise InputError(f"{run / 'checkpoints'}: cannot be {verb}: {reason(error)}") from error
@@ -58,7 +65,8 @@ class Checkpoints:
         for step in sorted(manager.all_steps(), reverse=True):
             try:
                 self._check("best", step)
-                return step, float(_notes(manager, step)["psnr"])
+                with silent_libraries():
+                    return step, float(_notes(manager, step)["psnr"])
             except Exception:  # damaged: as if there were none
                 continue
         return None
@@ -83,8 +91,9 @@ class Checkpoints:
         )
         try:
             _check_room(self.run / "checkpoints" / which, state)
-            manager.save(step, args=items)
-            manager.wait_until_finished()
+            with silent_libraries():
+                manager.save(step, args=items)
+                manager.wait_until_finished()
             if jax.process_index() == 0:
                 note_files(self.run / "checkpoints" / which / str(step), DIGESTS)
         except Exception as error:  # orbax and tensorstore raise many kinds for a full disk
@@ -117,7 +126,8 @@ class Checkpoints:
 
     def _restore(self, manager: ocp.CheckpointManager, step: int, like: State) -> State:
         items = ocp.args.Composite(state=ocp.args.StandardRestore(like._asdict()))
-        state = State(**manager.restore(step, args=items)["state"])
+        with _silent_restore():
+            state = State(**manager.restore(step, args=items)["state"])
         if int(state.step) != step:
             raise InputError(f"it is of step {int(state.step)}")
         return state
@@ -135,6 +145,16 @@ class Checkpoints:
     def close(self) -> None:
         for manager in self._managers.values():
             manager.close()
+
+
+@contextlib.contextmanager
+def _silent_restore() -> Iterator[None]:
+    with silent_libraries():
+        try:
+            yield
+        except Exception:
+            time.sleep(_LATE)
+            raise
 
 
 def _is_news(record: logging.LogRecord) -> bool:

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import tomli_w
 
 from jaxisp.checks import several
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, short
 from jaxisp.io.digests import sealed_toml
-from jaxisp.io.files import read_toml, short, write_text
+from jaxisp.io.files import read_toml, write_text
 
 Light = Literal["encoded", "linear"]
 _CHOICES = {

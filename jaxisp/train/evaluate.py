@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from jaxisp.io import open_dataset
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.orientation import orient
 from jaxisp.metrics import match_moments, psnr, ssim
+from jaxisp.process.memory import forget_beyond
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 from jaxisp.train.classical import METHODS, Classical
 from jaxisp.train.reference import channel_shifts, fit_tone
@@ -131,6 +132,9 @@ def align_dataset(
 ) -> Iterator[AlignedPair]:
     """The clean+noisy pairs of a folder, aligned once: for those who measure several denoisers.
 
+    After some sizes the programs of all are forgotten, those of others in the process too: see
+    `forget_compiled`.
+
     Args:
         folder: a data set.
         crop: as in `evaluate_dataset`; 64 px around it are kept for the denoiser to look at.
@@ -144,10 +148,14 @@ def align_dataset(
     dataset = open_dataset(folder, kind="clean+noisy")
     failed = [] if failed is None else failed
     failed += [(str(path), f"{path}: {reason}") for path, reason in dataset.problems]
+    sizes: set[Hashable] = set()
     for i, pair in enumerate(dataset.pairs):
         tick(i, len(dataset.pairs), pair.name)
         try:
-            aligned = _aligned(pair.load(), crop, align)
+            loaded = pair.load()
+            assert loaded.clean is not None, "a clean+noisy pair has one"
+            forget_beyond(sizes, (loaded.picture.shape, loaded.clean.shape))
+            aligned = _aligned(loaded, crop, align)
         except InputError as error:
             failed.append((pair.name, str(error)))
             continue

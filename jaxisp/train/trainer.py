@@ -17,6 +17,7 @@ from jax.experimental import multihost_utils
 from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
+from jaxisp.io.files import filled_folder
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, check_runs
 from jaxisp.models import count_parameters, load_weights, make_model
@@ -114,7 +115,11 @@ def train(
         asked = find_degradation(recipe)
     check_runs(asked)
     lead = jax.process_index() == 0
-    with locked(run, doing="training") if lead else contextlib.nullcontext(), _Signals() as signals:
+    with contextlib.ExitStack() as stack:
+        if lead:
+            stack.enter_context(filled_folder(run))
+            stack.enter_context(locked(run, doing="training"))
+        signals = stack.enter_context(_Signals())
         if lead:
             check_folder(run, config, asked, resume=resume)
         return _Run(config, run, asked, lead, signals, tick, metrics).train()

@@ -219,9 +219,39 @@ def test_what_cannot_be_calibrated_is_refused_in_words(folder, tmp_path, capsys)
         assert not (tmp_path / "noise.toml").exists()
 
 
+def test_frames_that_cannot_be_read_are_left_out_and_told(tmp_path, capsys):
+    flats, darks = sensor.frames(5, size=(128, 128))
+    sensor.write(tmp_path, "flats", flats)
+    sensor.write(tmp_path, "darks", darks)
+    command = ["calibrate", *(str(tmp_path / name) for name in ("flats", "darks")), "-o"]
+    assert main([*command, str(tmp_path / "whole.toml")]) == 0
+    capsys.readouterr()
+    (tmp_path / "flats" / "0.dng").symlink_to("0.dng")
+    (tmp_path / "darks" / "z.raw.npy").write_bytes(b"damaged")
+    assert main([*command, str(tmp_path / "noise.toml"), "--json"]) == 2
+    told = capsys.readouterr()
+    assert (tmp_path / "noise.toml").read_text() == (tmp_path / "whole.toml").read_text()
+    assert len(told.err.splitlines()) == len(json.loads(told.out)["failed"]) == 2
+    assert "too many levels of symbolic links" in told.err and "z.raw.npy" in told.err
+    for path in (tmp_path / "darks").iterdir():
+        path.write_bytes(b"damaged")
+    assert main([*command, str(tmp_path / "none.toml")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "none.toml").exists()
+    with pytest.raises(InputError, match="damaged"):
+        calibrate(tmp_path / "flats", tmp_path / "darks")
+
+
 def test_a_damaged_file_is_refused(found, tmp_path):
     text = found.to_toml()
-    for wrong in (text.replace("sensor noise", "noise"), text.replace("value = ", "valve = ", 1), "x = 1"):
+    black = f"black = {found.noise[0].black}"
+    numbers = [text.replace(black, f"black = {wrong}", 1) for wrong in ("nan", "inf", "9" * 400, '"64"')]
+    assert text not in numbers
+    for wrong in (
+        text.replace("sensor noise", "noise"),
+        text.replace("value = ", "valve = ", 1),
+        "x = 1",
+        *numbers,
+    ):
         with pytest.raises(InputError, match=r"noise\.toml"):
             Calibrated.from_toml(wrong, "noise.toml")
 

@@ -17,6 +17,7 @@ import pytest
 from jaxisp.cli import main
 from jaxisp.data.catalogue import SETS, SUMS, PublicSet, RemoteFile, fetch, find_set
 from jaxisp.errors import InputError
+from jaxisp.io.locks import locked
 
 pytest.importorskip("pooch")
 DATA = bytes(range(256)) * 4000
@@ -59,7 +60,7 @@ def server(monkeypatch, tmp_path):
         monkeypatch.delenv(name, raising=False)
     Server.files, Server.most, Server.asked, Server.tag = {"/a.bin": DATA}, len(DATA), [], '"one"'
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as running:
-        threading.Thread(target=running.serve_forever, daemon=True).start()
+        threading.Thread(target=running.serve_forever, args=(0.01,), daemon=True).start()
         yield f"http://127.0.0.1:{running.server_port}"
         running.shutdown()
 
@@ -108,6 +109,51 @@ def test_a_wrong_file_is_refused_and_a_recorded_checksum_is_compared(server, tmp
     Server.files = {"/a.bin": DATA[:-1] + b"x"}
     with pytest.raises(InputError, match="is not the file that it was"):
         fetch(wanted)
+
+
+def test_a_file_without_a_checksum_is_told_and_trusted_once(server, monkeypatch, capsys):
+    monkeypatch.setitem(SETS, "kodak", public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    for again, lines in ((False, 2), (True, 1)):
+        assert main(["data", "fetch", "kodak"]) == 0
+        told = capsys.readouterr().err.splitlines()
+        assert len(told) == lines and ("no checksum is published of a.bin" in told[-1]) != again
+    monkeypatch.setitem(SETS, "kodak", public(RemoteFile(f"{server}/a.bin", "a.bin", SHA)))
+    assert main(["data", "list"]) == 0
+    listed = capsys.readouterr().out
+    assert listed.count("no checksum is published") == 2  # camera-sim, polyu
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"https://a/b": 5},
+        {"https://a/b": [SHA]},
+        {"https://a/b": None},
+        {"https://a/b": "crc:1"},
+        {"a": SHA},
+        {"https://a/b": SHA[:-1]},
+    ],
+)
+def test_noted_checksums_that_are_none_are_one_error(server, tmp_path, damage):
+    """What was trusted once is not forgotten because it cannot be read."""
+    root = tmp_path / "data é"
+    root.mkdir()
+    (root / SUMS).write_text(json.dumps(damage))
+    with pytest.raises(
+        InputError, match=r"checksums\.json: .* expected a URL with md5: or sha256:"
+    ) as caught:
+        fetch(public(RemoteFile(f"{server}/a.bin", "a.bin", SHA)))
+    assert "\n" not in str(caught.value) and Server.asked == []
+    assert json.loads((root / SUMS).read_text()) == damage and os.listdir(root) == [SUMS]
+
+
+def test_two_that_fetch_the_same(server, tmp_path):
+    with (
+        locked(tmp_path / "data é", name=".small.lock"),
+        pytest.raises(InputError, match="another process is fetching into this folder"),
+    ):
+        fetch(public(RemoteFile(f"{server}/a.bin", "a.bin", SHA)))
+    assert Server.asked == []
 
 
 def zipped(*members, **options):

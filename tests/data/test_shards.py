@@ -191,3 +191,15 @@ def test_from_the_command_line(photos, tmp_path, capsys):
     assert main([*command, "--shard", "1"]) == 2 and "--shard needs --shards" in capsys.readouterr().err
     assert main([*command, "--shards", "2", "--shard", "2"]) == 2
     assert "expected numbers from 0 to 1" in capsys.readouterr().err
+
+
+def test_an_error_of_computing_is_not_one_of_the_disk(tmp_path, monkeypatch):
+    def broken(*_):
+        raise RuntimeError("no device")
+
+    write_png(tmp_path / "p.png", smooth_image((12, 14, 3)))
+    work = Work([tmp_path / "p.png"], RECIPES["awgn"]())
+    monkeypatch.setattr(type(work.recipe), "degrade", broken)
+    with pytest.raises(RuntimeError, match="no device"):
+        degrade_shards(work, tmp_path / "out", 1)
+    assert not list((tmp_path / "out").glob("shard*"))

@@ -159,10 +159,14 @@ def test_stages_nested_without_end():
             decode_node({"stage": name})
 
 
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory):
+    return all_seeds(tmp_path_factory.mktemp("seeds"))
+
+
 @pytest.mark.parametrize("kind", [kind for kind in SHARES if kind not in NOT_HELD])
-def test_some_of_the_fuzzers_inputs(kind):
+def test_some_of_the_fuzzers_inputs(seeds, kind):
     with tempfile.TemporaryDirectory() as folder:
-        seeds = all_seeds(Path(folder))
         for index in range(30 if kind in ("sample", "manifest") else 120):
             seed, data = make_input(seeds, kind, index)
             path = Path(folder) / file_name(kind, seed.suffix)
@@ -171,8 +175,8 @@ def test_some_of_the_fuzzers_inputs(kind):
     assert set(READERS) == set(SHARES)
 
 
-def test_the_sound_files_are_accepted(tmp_path):
-    for seed in all_seeds(tmp_path):
+def test_the_sound_files_are_accepted(seeds, tmp_path):
+    for seed in seeds:
         path = tmp_path / file_name(seed.kind, seed.suffix)
         path.write_bytes(seed.data)
         assert outcome(seed.kind, path) == "accepted", (seed.kind, seed.suffix)

@@ -9,6 +9,9 @@ from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.io.exif import new_exif
 from jaxisp.models.apply import Denoiser, denoise_files
+from jaxisp.process import memory
+from jaxisp.testing import smooth_image
+from jaxisp.train.evaluate import align_dataset
 from tests.io.profiles import COLORANTS, SRGB_CURVE, parametric, profile
 
 
@@ -50,6 +53,22 @@ def test_a_name_is_taken_by_a_picture_that_was_written(pictures, tmp_path):
     assert "has the same name" in result["failed"][1][1] and result["images"] == 2
     assert read_image(tmp_path / "out" / "a.png").mean() == pytest.approx(0.5, abs=0.01)
     assert read_image(tmp_path / "out" / "c.png").mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_programs_of_many_sizes_are_forgotten(tmp_path, monkeypatch):
+    """Every second size where one is kept; pairs of `evaluate` likewise."""
+    forgotten = []
+    monkeypatch.setattr(memory, "MOST_SIZES", 1)
+    monkeypatch.setattr(memory, "forget_compiled", lambda: forgotten.append(1))
+    (tmp_path / "in").mkdir()
+    for i in range(3):
+        picture = smooth_image((32 + 8 * (i > 0), 40, 3), i)
+        for name in (f"{i}.clean.png", f"{i}.noisy.png"):
+            write_png(tmp_path / "in" / name, picture)
+    inputs = [tmp_path / "in" / f"{i}.noisy.png" for i in range(3)]
+    assert denoise_files(Denoiser(Model()), inputs, tmp_path / "out")["images"] == 3 and len(forgotten) == 1
+    pairs = list(align_dataset(tmp_path / "in"))
+    assert [pair.name for pair in pairs] == ["0", "1", "2"] and len(forgotten) == 2
 
 
 def test_a_tile_that_is_too_small_is_one_error(pictures, tmp_path):
