@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxisp.domains import ENCODED, accepts
 from jaxisp.encoder import ENCODER, encoder_of
-from jaxisp.errors import InputError, meant
+from jaxisp.errors import InputError, meant, short
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
