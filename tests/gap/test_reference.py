@@ -101,7 +101,7 @@ def test_another_pattern_is_another_camera(sets):
 
 def test_a_reference_of_another_kind_is_refused(sets, tmp_path):
     with pytest.raises(InputError, match="give a reference, or a camera"):
-        diagnose(sets["on"], camera=object(), reference=sets["off"])
+        diagnose(sets["on"], camera="phone", reference=sets["off"])
 
 
 @pytest.mark.slow
