@@ -91,6 +91,6 @@ def test_two_jpegs_are_told_from_other_pairs(tmp_path):
 @pytest.mark.parametrize("option", ["reference", "camera"])
 def test_what_two_jpegs_have_no_use_for_is_refused(tmp_path, option):
     folder = write(tmp_path, lambda p: p, count=2, size=64)
-    value = folder if option == "reference" else object()
+    value = folder if option == "reference" else "phone"
     with pytest.raises(InputError, match="first"):
         diagnose(folder, **{option: value})
