@@ -248,7 +248,7 @@ def test_a_merge_of_exposures_is_refused_with_its_figure(own, tmp_path):
 
 
 def test_unknown_choices_are_refused(own):
-    with pytest.raises(InputError, match="'demosaic_magic' is no demosaicker; there are auto, demosaic_"):
+    with pytest.raises(InputError, match="'demosaic_magic' is no demosaicker; is it demosaic_"):
         fit_examples([own[1]], demosaic="demosaic_magic")
     with pytest.raises(InputError, match="'7x7' is no median"):
         fit_examples([own[1]], median="7x7")
@@ -274,7 +274,7 @@ def test_what_is_fixed_is_so_beside_what_is_anyway():
     assert flags["denoise_encoding"].gamma == FIXED, "it is by itself"
     assert flags["geometric_distortion"].k2 == flags["bilateral"].luma_sigma_space == CAMERA
     assert flags["exposure"].exposure_ev == IMAGE
-    with pytest.raises(InputError, match=r"saturation\.amount: is frozen, and free or per image"):
+    with pytest.raises(InputError, match=r"frozen, and free or per image at once: saturation\.amount"):
         sharing(start, per_image=["colour"], fixed=["saturation"])
 
 
