@@ -331,8 +331,12 @@ def find_degradation(recipe: RecipeLike, *, phases: bool = False) -> Degradation
     name = str(recipe)
     if "=" in name and not os.path.lexists(name):
         shares: dict[str | Recipe, float] = {}
+        named: set[str] = set()
         for part in name.split(","):
-            own, _, share = part.strip().rpartition("=")
+            own, share = (text.strip() for text in part.rpartition("=")[::2])
+            if own in named:
+                raise InputError(f"{name}: {own} has two shares")
+            named.add(own)
             try:
                 found = find_recipe(own, phases=True) if phases and own != CLEAN else own
                 shares[found] = float(share)

@@ -203,3 +203,12 @@ def test_every_public_place_takes_all_forms():
                 assert hint in (RecipeLike, RecipeLike | None), f"{name}: {hint}"
                 seen.add(name)
     assert {"any_phase", "batches", "develop", "diagnose", "degrade_files", "train", "with_noise"} <= seen
+
+
+@pytest.mark.parametrize("phases", [False, True])
+def test_shares_may_have_blanks_and_name_a_recipe_once(phases):
+    """A second share of a name would silently stand for the first."""
+    assert find_degradation("phone = 0.5, clean=0.5", phases=phases).shares == (0.5, 0.5)
+    for text in ("phone=0.5,phone=0.5", "awgn=0.25,clean=0.5,awgn=0.5"):
+        with pytest.raises(InputError, match="has two shares"):
+            find_degradation(text, phases=phases)
