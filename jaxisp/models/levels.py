@@ -85,8 +85,7 @@ class LevelNet(nnx.Module):
         # beside its brightness, energies of a picture say nothing of its noise
         detail = _GAIN * (padded - _mean_of_nine(padded))
         y = _through(self.fine, self.sense(pixel_unshuffle(detail, 4)))
-        least = _GAIN * _LEAST  # below it a logarithm's slope is too steep to learn by
-        y = _told(jnp.sqrt(_cells(y**2, CELL // 4) + least**2), least)
+        y = _told(jnp.sqrt(_cells(y**2, CELL // 4) + _LEAST**2))
         y = _through(self.coarse, self.weigh(y))
         return _LEAST * jnp.exp2(clip_through(4 * self.levels(y).astype(x.dtype), -2, 9, leak=0.1))
 
@@ -135,9 +134,9 @@ def measured_map(noisy: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.sqrt(_cells(jnp.stack([luma**2, chroma.mean(-1)], -1), CELL) + 1e-12)
 
 
-def _told(levels: jax.Array, least: float = _LEAST) -> jax.Array:
+def _told(levels: jax.Array) -> jax.Array:
     """Levels as the network gets them: their logarithm, 0 where there is no noise."""
-    return jnp.log2(1 + levels / least) / 4
+    return jnp.log2(1 + levels / _LEAST) / 4
 
 
 def _mean_of_nine(x: jax.Array) -> jax.Array:
