@@ -13,8 +13,6 @@ from jaxisp.stages.jpeg_file import JpegFile
 ENCODER = "jpeg_tables"
 """The name of the node, whatever its stage: cameras and priors go by it."""
 _MOST = specs(JpegFile)["to_file"].bounds[1]
-_HELD = {True: (True, False), False: (False, True)}
-"""Whether colours are converted in 14 bits, the likelier first, of files with an ICC profile and others."""
 _WRAP, _LARGEST = 8192, 2048
 """libjpeg-turbo holds 8 times a step in 16 bits, so that it divides by a step modulo the first. Steps above
 the second leave no coefficient in any case."""
@@ -50,8 +48,8 @@ def encoder_of(
         to_file, from_file = (np.asarray(m, np.float32) for m in _matrices(file.space))
         curve = np.asarray(file.space.curve_table, np.float32)
         params = JpegFile(tables=tables, curve=curve, to_file=to_file, from_file=from_file)
-    # who states colours in EXIF has seldom a colour management of 14 bits
-    ways = [stage("jpeg_file", name=name, in_14_bits=held, **options) for held in _HELD[file.icc is not None]]
+    likelier = file.icc is not None  # who states colours in EXIF has seldom a colour management of 14 bits
+    ways = [stage("jpeg_file", name=name, in_14_bits=held, **options) for held in (likelier, not likelier)]
     if original is not None and file.space is not None and original.shape == file.pixels.shape:
         ways.sort(key=lambda way: _distance(way, {name: params}, original, file))
     return ways[0], {name: params}
