@@ -74,7 +74,7 @@ def _inverse_1d(x: Rows) -> list[Any]:
 
 
 @functools.cache
-def _fixed_basis() -> np.ndarray:
+def _fixeddct_matrix() -> np.ndarray:
     """The matrix of the fixed-point 1-D DCT, frequency by sample, times 2**13."""
     return np.stack(_forward_1d(list(np.eye(8, dtype=int))))
 
@@ -132,7 +132,7 @@ def through_blocks(blocks: jax.Array, tables: jax.Array, first: int) -> jax.Arra
 def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (blocks, tables), (d_blocks, d_tables) = primals, tangents
     coded, slope = _coded(blocks, tables, first, slopes=True)
-    basis = _basis().astype(blocks.dtype)
+    basis = dct_matrix().astype(blocks.dtype)
     moved = _of_rows(d_tables, first, len(blocks)) * slope
     change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
     return coded, d_blocks + change.reshape(blocks.shape)
@@ -235,12 +235,12 @@ def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
 
 def _rows_forward(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W) blocks of samples about 0, times 4; exact in floats."""
-    return shifted(_along_rows(_fixed_basis(), blocks) + (1 << 10), 11)
+    return shifted(_along_rows(_fixeddct_matrix(), blocks) + (1 << 10), 11)
 
 
 def _rows_inverse(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
-    basis = _fixed_basis().T
+    basis = _fixeddct_matrix().T
     coarse = (basis + 64) // 128
     high, low = (_along_rows(m, blocks) for m in (coarse, basis - 128 * coarse))
     return shifted(high + shifted(low + (1 << 17), 7), 11)
@@ -276,7 +276,7 @@ def _sine(x: jax.Array) -> jax.Array:
 
 
 @functools.cache
-def _basis() -> np.ndarray:
-    """The orthonormal 8-point DCT, frequency by sample."""
+def dct_matrix() -> np.ndarray:
+    """(8, 8), the orthonormal 8-point DCT, frequency by sample."""
     u, i = np.mgrid[:8, :8]
     return np.where(u, 0.5, np.sqrt(0.125)) * np.cos((2 * i + 1) * u * np.pi / 16)

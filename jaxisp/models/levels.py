@@ -6,17 +6,21 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import nnx
 
-from jaxisp.arrays.safe_math import clip_through
 from jaxisp.color import LUMA_601
+from jaxisp.jpeg.blocks import dct_matrix
 from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuffle, pixel_unshuffle
 
 CELL = 16
 """Pixels of a side of a cell of the noise map."""
 _LEAST = 0.5 / 255  # noise below which no level is told from another
-_GAIN = 8  # noise is small beside 1
+_MOST = 2.25  # of levels as they are told: a standard deviation of 1
 _SHARE = 0.1  # of the error of the map in what is trained
+_DCT, _STRIDE = 8, 4  # as in JPEG files, whose blocks every other one of these meets
+_OPPONENT = ((0.299, 0.587, 0.114), (-0.5, 0.5, 0.0), (-0.25, -0.25, 0.5))
+"""Luma and two differences of colour, which are brought to length 1: white noise is as strong in all."""
 
 
 class LevelNet(nnx.Module):
@@ -31,8 +35,8 @@ class LevelNet(nnx.Module):
         features: channels at each resolution, from 1/2 down.
         depth: convolutions of the residual block at each resolution, on the way down and again on the way up;
             ReLU between them. Without the sums of the blocks the network dies within 500 steps.
-        estimator: channels of the network that estimates the map: residual blocks at 1/4, whose root mean
-            squares in each cell go to a residual block of cells.
+        estimator: channels of the network that estimates the map: two residual blocks of cells, which are
+            given statistics of the cosine transforms in and about each cell.
         rngs: for the initial weights.
         dtype: of the computation, bfloat16 or None (float32); weights are float32.
 
@@ -49,7 +53,7 @@ class LevelNet(nnx.Module):
         *,
         features: tuple[int, ...] = (32, 64, 96),
         depth: int = 2,
-        estimator: int = 32,
+        estimator: int = 48,
         rngs: nnx.Rngs,
         dtype: Any = None,
     ) -> None:
@@ -61,10 +65,8 @@ class LevelNet(nnx.Module):
             return nnx.List([*(make(width, width) for _ in range(depth - 1)), last])
 
         steps = list(itertools.pairwise(features))
-        self.sense = make(16 * channels, estimator)
-        self.fine = block(estimator)
-        self.weigh = make(estimator, estimator, kernel=1)
-        self.coarse = block(estimator)
+        self.sense = make(_STATISTICS, estimator, kernel=1)
+        self.cells = nnx.List([block(estimator) for _ in range(2)])
         self.levels = make(estimator, 2, kernel=1)
         self.first = make(4 * channels + 2, features[0])
         self.last = make(features[0], 4 * channels, init=NEARLY_ZERO)
@@ -77,17 +79,19 @@ class LevelNet(nnx.Module):
         passes = [2 * depth] * len(steps) + [depth]
         # once it has its map, between the cells of which is interpolated
         self.reach = 2 * 2 + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
-        self.map_reach = 1 + (1 + depth) * 4 + depth * CELL
+        self.map_reach = _DCT - _STRIDE + 2 * depth * CELL
 
     def noise_map(self, x: jax.Array) -> jax.Array:
         """The (N, ceil(H / 16), ceil(W / 16), 2) standard deviations that are estimated for (N, H, W, 3)."""
-        padded = pad_to_multiple(x, CELL)
-        # beside its brightness, energies of a picture say nothing of its noise
-        detail = _GAIN * (padded - _mean_of_nine(padded))
-        y = _through(self.fine, self.sense(pixel_unshuffle(detail, 4)))
-        y = _told(jnp.sqrt(_cells(y**2, CELL // 4) + _LEAST**2))
-        y = _through(self.coarse, self.weigh(y))
-        return _LEAST * jnp.exp2(clip_through(4 * self.levels(y).astype(x.dtype), -2, 9, leak=0.1))
+        return _levels(self._told_map(x))
+
+    def _told_map(self, x: jax.Array) -> jax.Array:
+        """The map as the network is told it, but not clipped: no noise is a value that can be met, so that
+        learning to give it comes to an end. Clipped with a gradient beyond it grew without end."""
+        y = self.sense(_statistics(pad_to_multiple(x, CELL)))
+        for block in self.cells:
+            y = y + _branch(block, _normed(y))
+        return self.levels(y).astype(x.dtype)
 
     def __call__(self, x: jax.Array, noise_map: jax.Array | None = None) -> jax.Array:
         """Denoise (N, H, W, 3); the noise map is estimated where it is None."""
@@ -118,10 +122,10 @@ class LevelNet(nnx.Module):
         too small, and the network blind to it.
         """
         true = measured_map(noisy, target)
-        found = self.noise_map(noisy)
+        found = self._told_map(noisy)
         given = (jnp.arange(len(noisy)) % 4 == 0)[:, None, None, None]
-        told = jnp.where(given, true, jax.lax.stop_gradient(found))
-        wrong = jnp.abs(_told(found) - _told(true)).mean()
+        told = jnp.where(given, true, jax.lax.stop_gradient(_levels(found)))
+        wrong = jnp.abs(found - _told(true)).mean()
         return penalty(self(noisy, told) - target).mean() + _SHARE * wrong
 
 
@@ -139,10 +143,47 @@ def _told(levels: jax.Array) -> jax.Array:
     return jnp.log2(1 + levels / _LEAST) / 4
 
 
-def _mean_of_nine(x: jax.Array) -> jax.Array:
-    """Of each pixel and its neighbours; the border's go on outward."""
-    padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="edge")
-    return jax.lax.reduce_window(padded, 0.0, jax.lax.add, (1, 3, 3, 1), (1, 1, 1, 1), "VALID") / 9
+def _levels(told: jax.Array) -> jax.Array:
+    """The inverse of `_told`."""
+    return _LEAST * (jnp.exp2(4 * jnp.clip(told, 0, _MOST)) - 1)
+
+
+def _bands() -> np.ndarray:
+    """(64, 14) weights: the mean of the DCT's coefficients of a largest frequency, those along rows and those
+    along columns apart."""
+    v, u = np.divmod(np.arange(_DCT**2), _DCT)
+    largest = np.maximum(u, v)
+    bands = np.stack([(largest == f) & ((v < u) == rows) for f in range(1, _DCT) for rows in (0, 1)], -1)
+    return bands / bands.sum(0)
+
+
+_STATISTICS = 4 * len(_OPPONENT) * 2 * (_DCT - 1) + 6
+
+
+def _statistics(x: jax.Array) -> jax.Array:
+    """(N, H / 16, W / 16, C) statistics of each cell, about 0: of its blocks' energies in bands two means,
+    the least and a low quantile, which noise fills and most texture does not; its mean and largest values."""
+    n, h, w, _ = x.shape
+    rows, columns = h // CELL, w // CELL
+    mix = np.asarray(_OPPONENT) / np.linalg.norm(_OPPONENT, axis=1, keepdims=True)
+    y = jnp.einsum("nhwc,dc->ndhw", x.astype(jnp.float32), mix.astype(np.float32)).reshape(-1, h, w, 1)
+    y = jnp.pad(y, ((0, 0), (0, _DCT - _STRIDE), (0, _DCT - _STRIDE), (0, 0)), mode="edge")
+    waves = np.einsum("vy,ux->yxvu", dct_matrix(), dct_matrix()).reshape(_DCT, _DCT, 1, -1)
+    layout = ("NHWC", "HWIO", "NHWC")
+    coefficients = jax.lax.conv_general_dilated(
+        y, waves.astype(np.float32), (_STRIDE, _STRIDE), "VALID", dimension_numbers=layout
+    )
+    energies = coefficients**2 @ _bands().astype(np.float32)
+    side = CELL // _STRIDE
+    blocks = energies.reshape(n, len(mix), rows, side, columns, side, -1)
+    blocks = blocks.transpose(0, 2, 4, 3, 5, 1, 6).reshape(n, rows, columns, side**2, -1)
+    blocks = jnp.sort(blocks, 3)
+    told = _told(jnp.sqrt(blocks))
+    kinds = [_told(jnp.sqrt(blocks.mean(3))), told.mean(3), told[..., 0, :], told[..., side**2 // 4, :]]
+    pixels = x.reshape(n, rows, CELL, columns, CELL, 3)
+    about = [2 * (kind - 0.6) for kind in kinds]
+    about += [2 * pixels.mean((2, 4)) - 1, 2 * pixels.max((2, 4)) - 1]
+    return jax.lax.stop_gradient(jnp.concatenate(about, -1))
 
 
 def _cells(x: jax.Array, side: int) -> jax.Array:
@@ -160,7 +201,16 @@ def _spread(levels: jax.Array, shape: tuple[int, ...]) -> jax.Array:
 
 
 def _through(block: nnx.List[nnx.Conv], x: jax.Array) -> jax.Array:
+    return x + _branch(block, x)
+
+
+def _branch(block: nnx.List[nnx.Conv], x: jax.Array) -> jax.Array:
     y = block[0](x)
     for convolve in block[1:]:
         y = convolve(nnx.relu(y))
-    return x + y
+    return y
+
+
+def _normed(x: jax.Array) -> jax.Array:
+    """With mean 0 and variance 1 over the channels of each place, as Ba, Kiros & Hinton 2016."""
+    return (x - x.mean(-1, keepdims=True)) * jax.lax.rsqrt(x.var(-1, keepdims=True) + 1e-3)
