@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from scipy.fft import dctn
 from scipy.ndimage import gaussian_filter
 
 from jaxisp.errors import InputError
@@ -19,7 +20,7 @@ from jaxisp.models import (
 )
 from jaxisp.models.ffdnet import estimate_noise
 from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
-from jaxisp.models.levels import measured_map
+from jaxisp.models.levels import _OPPONENT, _statistics, measured_map
 from jaxisp.models.n3net import N3Block, _candidates
 from jaxisp.models.weighing import SEARCH, WIDTHS, _blurred, _means
 
@@ -180,6 +181,50 @@ def test_the_measured_map_is_the_noise_of_luma_and_of_chroma(rng):
     np.testing.assert_allclose(found[0, :2, :2, 1], 0, atol=1e-5)
     np.testing.assert_allclose(found[0, 0, 2:, 0], 0, atol=1e-5)
     np.testing.assert_allclose(found[0, 0, 2:, 1], np.sqrt((0.114**2 + 0.299**2) / 3), rtol=1e-5)
+
+
+def test_the_statistics_of_cells_are_those_of_scipys_transforms(rng):
+    """Bands of largest frequency, rows and columns apart; blocks of 8x8 every 4 px, also beyond the cell."""
+    picture = rng.random((1, 32, 48, 3)).astype(np.float32)
+    found = np.asarray(_statistics(jnp.asarray(picture)))
+    cell = np.pad(picture[0], ((0, 4), (0, 4), (0, 0)), mode="edge")[16:36, 32:52] @ _OPPONENT_UNIT.T
+    blocks = [cell[y : y + 8, x : x + 8] for y in range(0, 16, 4) for x in range(0, 16, 4)]
+    energies = np.asarray([dctn(block, axes=(0, 1), norm="ortho") ** 2 for block in blocks])
+    # of the largest frequency 2, in three channels
+    for band, values in ((2, energies[:, 2, :3].mean(1)), (3, energies[:, :2, 2].mean(1))):
+        told = np.log2(1 + np.sqrt(np.sort(values, 0)) * 510) / 4
+        mean = np.log2(1 + np.sqrt(values.mean(0)) * 510) / 4
+        for kind, wanted in enumerate((mean, told.mean(0), told[0], told[4])):
+            for channel in range(3):
+                got = found[0, 1, 2, kind * 42 + channel * 14 + band]
+                np.testing.assert_allclose(got, 2 * (wanted[channel] - 0.6), atol=1e-4)
+    np.testing.assert_allclose(found[0, 1, 2, -6:-3], 2 * picture[0, 16:, 32:].mean((0, 1)) - 1, atol=1e-5)
+    np.testing.assert_allclose(found[0, 1, 2, -3:], 2 * picture[0, 16:, 32:].max((0, 1)) - 1, atol=1e-6)
+
+
+_OPPONENT_UNIT = np.asarray(_OPPONENT) / np.linalg.norm(_OPPONENT, axis=1, keepdims=True)
+
+
+def test_the_map_is_learned_and_stays_learned_where_there_is_no_noise():
+    """The error of the map has its least where there is none: its gradient is 0 there, and has the sign that
+    leads there from either side. It once led on and on, and the estimator was lost with it."""
+    model = make_model("levelnet", **SMALL["levelnet"])
+    clean = jnp.full((2, 32, 32, 3), 0.5)
+    graph, state = nnx.split(model)
+
+    def slope(offset):
+        """Of the objective to the last bias, where all levels are told as `offset`."""
+        model = nnx.merge(graph, state)
+        model.levels.kernel.set_value(jnp.zeros_like(model.levels.kernel[...]))
+
+        def objective(bias):
+            model.levels.bias.set_value(jnp.full_like(model.levels.bias[...], bias))
+            return model.objective(clean, clean, lambda x: x**2)
+
+        ahead, behind = (float(objective(jnp.float32(offset + d))) for d in (1e-2, -1e-2))
+        return (ahead - behind) / 2e-2
+
+    assert slope(0.3) > 0.02 and slope(-0.3) < -0.02 and abs(slope(0.0)) < 0.01
 
 
 @pytest.mark.parametrize("name", ["levelnet", "dncnn6"])
