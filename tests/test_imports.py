@@ -25,7 +25,7 @@ LAYERS = [
     {"calibrate"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
     {"interop"},
-    {"train"},
+    {"train", "adapt"},
     {"gap"},
     {"demo"},
     {"cli"},

@@ -45,6 +45,7 @@ COMMANDS = {
         ("out/shard-00000-of-00001.array_record", "out/shard-00000-of-00001.json"),
     ),
     "train": (f"train --clean clean -o out {TRAIN}", ()),
+    "adapt": ("adapt photos -o out/a.toml --recipe awgn --downsample 1 --draws 64", ("out/a.toml",)),
     "denoise": ("denoise --run run clean -o out", ("out/p.png",)),
     "evaluate": ("evaluate --run run cn", ()),
     "diagnose": ("diagnose pairs -o out", ("out/report.json", "out/report.html")),
@@ -68,6 +69,7 @@ WHOLE = (
     "degrade resumed",
     "shards",
     "train",
+    "adapt",
     "denoise",
     "evaluate",
     "diagnose",
@@ -80,9 +82,10 @@ SLOW = ("fit", "diagnose")
 def inputs(tmp_path_factory):
     """What the commands read; it is looked at, too."""
     folder = tmp_path_factory.mktemp("work")
-    for name in ("clean", "pairs", "cameras", "cn"):
+    for name in ("clean", "photos", "pairs", "cameras", "cn"):
         (folder / name).mkdir()
     write_png(folder / "clean" / "p.png", smooth_image((24, 30, 3)))
+    write_png(folder / "photos" / "p.png", smooth_image((136, 144, 3)))
     write_pairs(folder / "pairs", PHONES["a"], list(scenes((96, 128)))[:2])
     flats, darks = sensor.frames(size=(128, 128))
     sensor.write(folder, "flats", flats[:10])

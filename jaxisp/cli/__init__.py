@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from jaxisp import __version__
 from jaxisp.cli import (
+    adapt,
     calibrate,
     compare,
     data,
@@ -30,7 +31,7 @@ from jaxisp.process.cache import keep_compiled
 from jaxisp.process.environment import check_environment, without_device
 
 _MODULES = (
-    demo, develop, fit, calibrate, recipe, degrade, train, denoise, evaluate, diagnose, compare, data,
+    demo, develop, fit, calibrate, recipe, degrade, train, adapt, denoise, evaluate, diagnose, compare, data,
     listings,
 )  # fmt: skip
 

@@ -6,21 +6,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import nnx
 
 from jaxisp.color import LUMA_601
-from jaxisp.jpeg.blocks import dct_matrix
+from jaxisp.models.cells import CELL, LEAST, REACH, STATISTICS, cell_statistics, told_levels
 from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuffle, pixel_unshuffle
 
-CELL = 16
-"""Pixels of a side of a cell of the noise map."""
-_LEAST = 0.5 / 255  # noise below which no level is told from another
 _MOST = 2.25  # of levels as they are told: a standard deviation of 1
 _SHARE = 0.1  # of the error of the map in what is trained
-_DCT, _STRIDE = 8, 4  # as in JPEG files, whose blocks every other one of these meets
-_OPPONENT = ((0.299, 0.587, 0.114), (-0.5, 0.5, 0.0), (-0.25, -0.25, 0.5))
-"""Luma and two differences of colour, which are brought to length 1: white noise is as strong in all."""
 
 
 class LevelNet(nnx.Module):
@@ -65,7 +58,7 @@ class LevelNet(nnx.Module):
             return nnx.List([*(make(width, width) for _ in range(depth - 1)), last])
 
         steps = list(itertools.pairwise(features))
-        self.sense = make(_STATISTICS, estimator, kernel=1)
+        self.sense = make(STATISTICS, estimator, kernel=1)
         self.cells = nnx.List([block(estimator) for _ in range(2)])
         self.levels = make(estimator, 2, kernel=1)
         self.first = make(4 * channels + 2, features[0])
@@ -79,7 +72,7 @@ class LevelNet(nnx.Module):
         passes = [2 * depth] * len(steps) + [depth]
         # once it has its map, between the cells of which is interpolated
         self.reach = 2 * 2 + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
-        self.map_reach = _DCT - _STRIDE + 2 * depth * CELL
+        self.map_reach = REACH + 2 * depth * CELL
 
     def noise_map(self, x: jax.Array) -> jax.Array:
         """The (N, ceil(H / 16), ceil(W / 16), 2) standard deviations that are estimated for (N, H, W, 3)."""
@@ -88,7 +81,7 @@ class LevelNet(nnx.Module):
     def _told_map(self, x: jax.Array) -> jax.Array:
         """The map as the network is told it, but not clipped: no noise is a value that can be met, so that
         learning to give it comes to an end. Clipped with a gradient beyond it grew without end."""
-        y = self.sense(_statistics(pad_to_multiple(x, CELL)))
+        y = self.sense(cell_statistics(pad_to_multiple(x, CELL)))
         for block in self.cells:
             y = y + _branch(block, _normed(y))
         return self.levels(y).astype(x.dtype)
@@ -99,7 +92,7 @@ class LevelNet(nnx.Module):
         levels = self.noise_map(x) if noise_map is None else noise_map
         padded = pad_to_multiple(x, self.multiple)
         shape = (len(x), padded.shape[1] // 2, padded.shape[2] // 2, 2)
-        told = _spread(_told(levels), shape).astype(x.dtype)
+        told = _spread(told_levels(levels), shape).astype(x.dtype)
         unit = jnp.linalg.norm(_spread(levels, shape), axis=-1, keepdims=True).astype(x.dtype)
         y = jnp.concatenate([pixel_unshuffle(padded, 2), told], -1)
         y = self.first(y)
@@ -125,7 +118,7 @@ class LevelNet(nnx.Module):
         found = self._told_map(noisy)
         given = (jnp.arange(len(noisy)) % 4 == 0)[:, None, None, None]
         told = jnp.where(given, true, jax.lax.stop_gradient(_levels(found)))
-        wrong = jnp.abs(found - _told(true)).mean()
+        wrong = jnp.abs(found - told_levels(true)).mean()
         return penalty(self(noisy, told) - target).mean() + _SHARE * wrong
 
 
@@ -138,52 +131,9 @@ def measured_map(noisy: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.sqrt(_cells(jnp.stack([luma**2, chroma.mean(-1)], -1), CELL) + 1e-12)
 
 
-def _told(levels: jax.Array) -> jax.Array:
-    """Levels as the network gets them: their logarithm, 0 where there is no noise."""
-    return jnp.log2(1 + levels / _LEAST) / 4
-
-
 def _levels(told: jax.Array) -> jax.Array:
-    """The inverse of `_told`."""
-    return _LEAST * (jnp.exp2(4 * jnp.clip(told, 0, _MOST)) - 1)
-
-
-def _bands() -> np.ndarray:
-    """(64, 14) weights: the mean of the DCT's coefficients of a largest frequency, those along rows and those
-    along columns apart."""
-    v, u = np.divmod(np.arange(_DCT**2), _DCT)
-    largest = np.maximum(u, v)
-    bands = np.stack([(largest == f) & ((v < u) == rows) for f in range(1, _DCT) for rows in (0, 1)], -1)
-    return bands / bands.sum(0)
-
-
-_STATISTICS = 4 * len(_OPPONENT) * 2 * (_DCT - 1) + 6
-
-
-def _statistics(x: jax.Array) -> jax.Array:
-    """(N, H / 16, W / 16, C) statistics of each cell, about 0: of its blocks' energies in bands two means,
-    the least and a low quantile, which noise fills and most texture does not; its mean and largest values."""
-    n, h, w, _ = x.shape
-    rows, columns = h // CELL, w // CELL
-    mix = np.asarray(_OPPONENT) / np.linalg.norm(_OPPONENT, axis=1, keepdims=True)
-    y = jnp.einsum("nhwc,dc->ndhw", x.astype(jnp.float32), mix.astype(np.float32)).reshape(-1, h, w, 1)
-    y = jnp.pad(y, ((0, 0), (0, _DCT - _STRIDE), (0, _DCT - _STRIDE), (0, 0)), mode="edge")
-    waves = np.einsum("vy,ux->yxvu", dct_matrix(), dct_matrix()).reshape(_DCT, _DCT, 1, -1)
-    layout = ("NHWC", "HWIO", "NHWC")
-    coefficients = jax.lax.conv_general_dilated(
-        y, waves.astype(np.float32), (_STRIDE, _STRIDE), "VALID", dimension_numbers=layout
-    )
-    energies = coefficients**2 @ _bands().astype(np.float32)
-    side = CELL // _STRIDE
-    blocks = energies.reshape(n, len(mix), rows, side, columns, side, -1)
-    blocks = blocks.transpose(0, 2, 4, 3, 5, 1, 6).reshape(n, rows, columns, side**2, -1)
-    blocks = jnp.sort(blocks, 3)
-    told = _told(jnp.sqrt(blocks))
-    kinds = [_told(jnp.sqrt(blocks.mean(3))), told.mean(3), told[..., 0, :], told[..., side**2 // 4, :]]
-    pixels = x.reshape(n, rows, CELL, columns, CELL, 3)
-    about = [2 * (kind - 0.6) for kind in kinds]
-    about += [2 * pixels.mean((2, 4)) - 1, 2 * pixels.max((2, 4)) - 1]
-    return jax.lax.stop_gradient(jnp.concatenate(about, -1))
+    """The inverse of `told_levels`."""
+    return LEAST * (jnp.exp2(4 * jnp.clip(told, 0, _MOST)) - 1)
 
 
 def _cells(x: jax.Array, side: int) -> jax.Array:

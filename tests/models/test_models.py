@@ -18,9 +18,10 @@ from jaxisp.models import (
     read_network,
     save_network,
 )
+from jaxisp.models.cells import OPPONENT, cell_statistics
 from jaxisp.models.ffdnet import estimate_noise
 from jaxisp.models.layers import pixel_shuffle, pixel_unshuffle
-from jaxisp.models.levels import _OPPONENT, _statistics, measured_map
+from jaxisp.models.levels import measured_map
 from jaxisp.models.n3net import N3Block, _candidates
 from jaxisp.models.weighing import SEARCH, WIDTHS, _blurred, _means
 
@@ -186,7 +187,7 @@ def test_the_measured_map_is_the_noise_of_luma_and_of_chroma(rng):
 def test_the_statistics_of_cells_are_those_of_scipys_transforms(rng):
     """Bands of largest frequency, rows and columns apart; blocks of 8x8 every 4 px, also beyond the cell."""
     picture = rng.random((1, 32, 48, 3)).astype(np.float32)
-    found = np.asarray(_statistics(jnp.asarray(picture)))
+    found = np.asarray(cell_statistics(jnp.asarray(picture)))
     cell = np.pad(picture[0], ((0, 4), (0, 4), (0, 0)), mode="edge")[16:36, 32:52] @ _OPPONENT_UNIT.T
     blocks = [cell[y : y + 8, x : x + 8] for y in range(0, 16, 4) for x in range(0, 16, 4)]
     energies = np.asarray([dctn(block, axes=(0, 1), norm="ortho") ** 2 for block in blocks])
@@ -202,7 +203,7 @@ def test_the_statistics_of_cells_are_those_of_scipys_transforms(rng):
     np.testing.assert_allclose(found[0, 1, 2, -3:], 2 * picture[0, 16:, 32:].max((0, 1)) - 1, atol=1e-6)
 
 
-_OPPONENT_UNIT = np.asarray(_OPPONENT) / np.linalg.norm(_OPPONENT, axis=1, keepdims=True)
+_OPPONENT_UNIT = np.asarray(OPPONENT) / np.linalg.norm(OPPONENT, axis=1, keepdims=True)
 
 
 def test_the_map_is_learned_and_stays_learned_where_there_is_no_noise():

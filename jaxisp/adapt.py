@@ -1,0 +1,274 @@
+"""A recipe narrowed to a camera, from nothing but noisy pictures of it.
+
+Parameters are drawn from the recipe and applied to clean crops. Statistics of these crops predict the
+parameters; the draws whose predictions are nearest to those of the camera's own crops are kept, and each
+prior is narrowed to them. What the statistics do not tell stays as it was.
+
+Source: approximate Bayesian computation with predictions as statistics (Fearnhead & Prangle 2012) and with
+regression adjustment (Beaumont, Zhang & Balding 2002).
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from jaxisp.data.clean import load_clean
+from jaxisp.errors import InputError
+from jaxisp.io.files import find_images
+from jaxisp.io.images import read_image
+from jaxisp.models.cells import CELL, cell_statistics
+from jaxisp.params import specs
+from jaxisp.phase import CfaPhase
+from jaxisp.priors import Bernoulli, Distribution, LogUniform, PowerUniform, Uniform
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import RecipeLike, find_recipe
+
+SIDE = 128
+"""Of the crops that are compared [px]."""
+BATCH = 32
+KEPT = 0.02
+"""Share of the draws that is kept for each crop of the camera."""
+LEAST = 16
+"""Draws that are kept at least."""
+WITHIN = 0.95
+"""Share of what was kept that a narrowed range holds."""
+STRANGE = 0.99
+"""A crop that is farther from its nearest draws than this share of the draws are from theirs is strange."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Narrowed:
+    """A parameter's prior before and after.
+
+    Args:
+        name: "stage.parameter".
+        before: the recipe's distribution.
+        after: the narrowed one.
+        told: share of the parameter's variance that the statistics predict, 0 to 1.
+    """
+
+    name: str
+    before: Distribution
+    after: Distribution
+    told: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptation:
+    """What `adapt` found.
+
+    Args:
+        recipe: the narrowed recipe.
+        priors: each parameter's, in the order of the recipe.
+        crops: of the camera that were compared.
+        strange: share of them that no draw of the recipe resembles. Above some .2 the recipe lacks an effect
+            of this camera: `jaxisp diagnose` says which.
+        skipped: (file, reason) of pictures that could not be used.
+    """
+
+    recipe: Recipe
+    priors: tuple[Narrowed, ...]
+    crops: int
+    strange: float
+    skipped: tuple[tuple[str, str], ...]
+
+
+def adapt(
+    noisy: str | Path | Sequence[str | Path],
+    recipe: RecipeLike = "any-camera",
+    *,
+    clean: str | Path | Sequence[str | Path] | None = None,
+    downsample: int = 3,
+    draws: int = 2048,
+    per_image: int = 8,
+    seed: int = 0,
+    tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
+) -> Adaptation:
+    """Narrow a recipe to the camera of noisy pictures.
+
+    Args:
+        noisy: pictures of one camera at one setting, and folders of them; of 128 px and more.
+        recipe: what its parameters are drawn from at first.
+        clean: folders of clean pictures; the noisy ones made smaller unless given.
+        downsample: the factor by which clean pictures are made smaller.
+        draws: of the recipe's parameters, each on a crop of its own.
+        per_image: crops of a noisy picture that are compared.
+        seed: of draws and crops.
+        tick: called with (done, total, text).
+
+    Raises:
+        InputError: no picture can be used, too few draws, or the recipe draws nothing.
+    """
+    if draws < 4 * LEAST:
+        raise InputError(f"draws = {draws}: expected {4 * LEAST} at least")
+    recipe = find_recipe(recipe)
+    laws = dict(_laws(recipe))
+    if not laws:
+        raise InputError(f"recipe {recipe.name!r} draws no parameter: there is nothing to narrow")
+    rng = np.random.default_rng(seed)
+    crops, skipped = _noisy_crops(noisy, per_image, rng)
+    pictures = load_clean(clean or noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
+    seen = _summaries(crops)
+    statistics, drawn = [], []
+    key = jax.random.key(seed)
+    for start in range(0, draws, BATCH):
+        images = np.stack([_crop(pictures.images, rng) for _ in range(min(BATCH, draws - start))])
+        degraded, _, params = recipe.degrade(key, images, start)
+        statistics.append(_summaries(np.asarray(degraded)))
+        drawn.append(_values(params, laws))
+        tick(start + len(images), draws, "drawing cameras")
+    told, kept, strange = _nearest(np.concatenate(statistics), np.concatenate(drawn), seen, laws)
+    priors = tuple(
+        Narrowed(f"{stage}.{field}", law, _narrowed(law, kept[:, i]), round(float(told[i]), 3))
+        for i, ((stage, field), law) in enumerate(laws.items())
+    )
+    changed: dict[str, dict[str, Any]] = {}
+    for (stage, field), one in zip(laws, priors):
+        changed.setdefault(stage, {})[field] = one.after
+    found = recipe.override(**changed)
+    found = dataclasses.replace(
+        found,
+        chain=dataclasses.replace(found.chain, name=f"{recipe.name}-adapted"),
+        description=f"{recipe.description}; narrowed to noisy pictures of one camera",
+        meta={**recipe.meta, "adapted": {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}},
+    )
+    return Adaptation(found, priors, len(crops), strange, (*skipped, *pictures.skipped))
+
+
+def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
+    """What is drawn, by stage and parameter; where a mosaic begins is no property of a camera's crops."""
+    for stage, prior in recipe.prior.items():
+        for field in specs(type(prior)):
+            law = getattr(prior, field)
+            if isinstance(law, Distribution) and not isinstance(prior, CfaPhase):
+                yield (stage, field), law
+
+
+def _noisy_crops(
+    noisy: Any, per_image: int, rng: np.random.Generator
+) -> tuple[np.ndarray, list[tuple[str, str]]]:
+    crops: list[np.ndarray] = []
+    skipped: list[tuple[str, str]] = []
+    for path in find_images(noisy, recursive=True):
+        try:
+            image = read_image(path)
+        except InputError as error:
+            skipped.append((str(path), str(error)))
+            continue
+        if min(image.shape[:2]) < SIDE:
+            size = "x".join(map(str, image.shape[:2]))
+            skipped.append((str(path), f"{path}: {size} px is smaller than a crop of {SIDE} px"))
+            continue
+        room = np.asarray(image.shape[:2]) - SIDE
+        corners = {tuple(8 * rng.integers(0, room // 8 + 1)) for _ in range(per_image)}  # on a JPEG's grid
+        crops += [image[y : y + SIDE, x : x + SIDE] for y, x in sorted(corners)]
+    if not crops:
+        raise InputError(f"no picture can be used: {skipped[0][1]}" if skipped else "there are no pictures")
+    return np.stack(crops).astype(np.float32), skipped
+
+
+def _crop(images: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+    """A crop of clean pictures, flipped and turned at random."""
+    image = images[int(rng.integers(len(images)))]
+    y, x = (rng.integers(0, n - SIDE + 1) for n in image.shape[:2])
+    crop = np.rot90(image[y : y + SIDE, x : x + SIDE], int(rng.integers(4)))
+    return (crop[:, ::-1] if rng.integers(2) else crop).astype(np.float32) / 65535
+
+
+@jax.jit
+def _of_parts(images: jax.Array) -> jax.Array:
+    """Mean statistics of the quarter of the cells that is flattest, and of that with most detail."""
+    cells = cell_statistics(images)
+    cells = cells.reshape(len(images), -1, cells.shape[-1])
+    slow = cells[..., :2].sum(-1)  # of luma, in its lowest band
+    order = jax.numpy.argsort(slow, axis=1)
+    quarter = (SIDE // CELL) ** 2 // 4
+    ends = order[:, :quarter], order[:, -quarter:]
+    parts = [jax.numpy.take_along_axis(cells, end[..., None], 1) for end in ends]
+    return jax.numpy.concatenate([part.mean(1) for part in parts], -1)
+
+
+def _summaries(images: np.ndarray) -> np.ndarray:
+    batches = [images[i : i + BATCH] for i in range(0, len(images), BATCH)]
+    return np.concatenate([np.asarray(_of_parts(batch), np.float64) for batch in batches])
+
+
+def _scaled(law: Distribution, values: np.ndarray) -> np.ndarray:
+    """Values on the scale on which they are drawn evenly."""
+    if isinstance(law, LogUniform):
+        return np.log(values)
+    return values ** (1 / law.exponent) if isinstance(law, PowerUniform) else values
+
+
+def _values(params: Any, laws: dict[tuple[str, str], Distribution]) -> np.ndarray:
+    """(N, parameters) of a batch, vectors by their mean."""
+    columns = []
+    for (stage, field), law in laws.items():
+        values = np.asarray(getattr(params[stage], field), np.float64)
+        columns.append(_scaled(law, values).reshape(len(values), -1).mean(1))
+    return np.stack(columns, 1)
+
+
+def _nearest(
+    statistics: np.ndarray, drawn: np.ndarray, seen: np.ndarray, laws: Any
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """What share of each parameter is told, the draws nearest to what was seen, what of that is strange."""
+    mean, scale = statistics.mean(0), statistics.std(0) + 1e-6
+    spread = drawn.std(0) + 1e-12
+    wanted = (drawn - drawn.mean(0)) / spread
+    predicted, left_out, residual = _ridge((statistics - mean) / scale, wanted, (seen - mean) / scale)
+    told = np.clip(1 - (residual**2).mean(0), 0, 1)
+    weight = np.sqrt(told) / np.sqrt((residual**2).mean(0) + 1e-6)
+    count = max(LEAST, round(KEPT * len(drawn)))
+
+    def nearest(points: np.ndarray, own: bool) -> tuple[np.ndarray, np.ndarray]:
+        apart = cdist(points * weight, left_out * weight)
+        if own:
+            np.fill_diagonal(apart, np.inf)
+        order = np.argsort(apart, axis=1)[:, :count]
+        return order, np.take_along_axis(apart, order, 1).mean(1)
+
+    order, far = nearest(predicted, own=False)
+    usual = np.quantile(nearest(left_out, own=True)[1], STRANGE)
+    # what was drawn, moved by what its crop and the camera's differ in: a draw is never just like the camera
+    moved = drawn[order] + (predicted[:, None] - left_out[order]) * spread
+    switches = [isinstance(law, Bernoulli) for law in laws.values()]
+    kept = np.where(switches, drawn[order], np.clip(moved, drawn.min(0), drawn.max(0)))
+    return told, kept.reshape(-1, len(laws)), float((far > usual).mean())
+
+
+def _ridge(x: np.ndarray, y: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predictions for what was seen, and for each row of x without that row; the errors of the latter.
+
+    The penalty is that of least error so left out, for each column.
+    """
+    u, s, vt = np.linalg.svd(x, full_matrices=False)
+    projected, coordinates = u.T @ y, seen @ vt.T
+    best: list[tuple[float, np.ndarray, np.ndarray]] = [(np.inf, y, seen)] * y.shape[1]
+    for penalty in len(x) * np.geomspace(1e-4, 10, 12):
+        shrink = s**2 / (s**2 + penalty)
+        leverage = (u**2 @ shrink)[:, None] + 1 / len(x)
+        left_out = y - (y - u @ (shrink[:, None] * projected)) / (1 - leverage)
+        predicted = coordinates @ ((shrink / np.maximum(s, 1e-12))[:, None] * projected)
+        for i, error in enumerate(((y - left_out) ** 2).mean(0)):
+            if error < best[i][0]:
+                best[i] = error, left_out[:, i], predicted[:, i]
+    left_out = np.stack([own[1] for own in best], 1)
+    return np.stack([own[2] for own in best], 1), left_out, y - left_out
+
+
+def _narrowed(law: Distribution, kept: np.ndarray) -> Distribution:
+    """The distribution, on the range that holds most of what was kept, or with its share."""
+    if isinstance(law, Bernoulli):
+        return Bernoulli(float(np.clip(kept.mean(), 0, 1)))
+    low, high = np.quantile(kept, [(1 - WITHIN) / 2, (1 + WITHIN) / 2])
+    if isinstance(law, LogUniform):
+        return LogUniform(float(np.exp(low)), float(np.exp(high)))
+    if isinstance(law, Uniform | PowerUniform):
+        return dataclasses.replace(law, low=float(low), high=float(high))
+    return law

@@ -1,0 +1,54 @@
+"""Training that goes on from a network for all cameras, on the recipe of one."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jaxisp.checks import several
+from jaxisp.errors import InputError
+from jaxisp.models.apply import SHIPPED
+from jaxisp.models.files import read_arrays
+from jaxisp.train.config import TrainConfig
+from jaxisp.train.trainer import TrainResult, train
+
+
+def fine_tune(
+    recipe: str | Path,
+    clean: str | Path | Sequence[str | Path],
+    run: str | Path,
+    *,
+    start: str | Path | None = None,
+    downsample: int = 3,
+    steps: int = 2000,
+    seed: int = 0,
+    tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
+) -> TrainResult:
+    """Train a network further on a recipe, as `jaxisp.adapt` narrows one; resumed where it was stopped.
+
+    Args:
+        recipe: the TOML file of a recipe, or a name.
+        clean: folders of photographs, which are made smaller.
+        run: the folder of the run.
+        start: a file of weights; those that come with the package unless given.
+        downsample: the factor by which photographs are made smaller.
+        steps: updates of 16 patches of 64 px.
+        seed: of everything that is drawn.
+        tick: called with (done, total, text).
+
+    Raises:
+        InputError: there are no weights to begin with, or `train` raises it.
+    """
+    shipped = resources.files("jaxisp.models") / SHIPPED
+    if start is None and not shipped.is_file():
+        raise InputError("no network comes with this jaxisp: give the weights of one to begin with")
+    with contextlib.ExitStack() as stack:
+        begin = start or stack.enter_context(resources.as_file(shipped))
+        about = read_arrays(begin)[1]
+        config = TrainConfig(
+            clean=tuple(map(str, several(clean))), recipe=str(recipe), model=about["model"], model_options=about["options"],
+            light=about["light"], start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
+            patch=64, per_image=20, target="camera", loss="log_rms", lr=3e-4, pool=min(8192, 16 * steps),
+        )  # fmt: skip
+        return train(config, run, resume=True, tick=tick)

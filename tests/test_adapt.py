@@ -1,0 +1,148 @@
+"""A recipe narrowed to noisy pictures whose camera is known."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from jaxisp.adapt import _narrowed, _nearest, _ridge, adapt
+from jaxisp.cli import main
+from jaxisp.errors import InputError
+from jaxisp.io import read_image, write_png
+from jaxisp.models import make_model, save_network
+from jaxisp.pipeline import Chain, stage
+from jaxisp.priors import Bernoulli, LogUniform, Uniform
+from jaxisp.recipe import Recipe
+from jaxisp.stages.jpeg import Jpeg
+from jaxisp.stages.noise import GaussianNoise
+
+CAMERAS = Recipe(
+    Chain((stage("gaussian_noise"), stage("clip"), stage("jpeg", subsampling="4:4:4")), "cameras"),
+    {
+        "gaussian_noise": GaussianNoise(std=LogUniform(0.002, 0.2)),
+        "jpeg": Jpeg(quality=Uniform(30.0, 98.0)),
+    },
+)
+
+
+def scenes(folder, count=6, side=200):
+    """Smooth and textured pictures; the noisy ones of one camera, the clean ones of other scenes."""
+    rng = np.random.default_rng(5)
+    for i in range(count):
+        soft = gaussian_filter(rng.random((side, side, 3)), (12, 12, 0))
+        fine = gaussian_filter(rng.random((side, side, 1)), (1.0, 1.0, 0)) - 0.5
+        picture = 0.5 + 4 * (soft - 0.5) + np.where(np.arange(side)[:, None, None] < side // 2, fine, 0)
+        write_png(folder / f"{i}.png", np.clip(picture, 0, 1).astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("adapt")
+    for name in ("clean", "before", "noisy"):
+        (root / name).mkdir()
+    scenes(root / "clean", 8)
+    scenes(root / "before", 4)
+    camera = CAMERAS.override(gaussian_noise={"std": 0.03}, jpeg={"quality": 85.0})
+    images = np.stack([read_image(path) for path in sorted((root / "before").iterdir())])
+    for i, noisy in enumerate(np.asarray(camera.degrade(jax.random.key(4), images[:, ::-1])[0])):
+        write_png(root / "noisy" / f"{i}.png", np.clip(noisy, 0, 1))
+    return root
+
+
+def test_the_camera_lies_in_the_narrowed_ranges(folders):
+    found = adapt(folders / "noisy", CAMERAS, clean=folders / "clean", downsample=1, draws=256)
+    noise, quality = (one.after for one in found.priors)
+    assert noise.low < 0.03 < noise.high and quality.low < 85 < quality.high
+    assert np.log(noise.high / noise.low) < 0.5 * np.log(100)
+    assert quality.high - quality.low < 0.3 * 68
+    assert found.priors[0].told > 0.9 and found.strange < 0.3 and found.crops > 20
+    assert found.recipe.prior["jpeg"].quality == quality
+    assert Recipe.from_toml(found.recipe.to_toml()) == found.recipe
+
+
+def test_a_camera_that_no_draw_resembles_is_strange(folders, tmp_path):
+    """Stripes of a column's noise, which the recipe has not."""
+    rng = np.random.default_rng(0)
+    for i in range(3):
+        stripes = 0.1 * rng.standard_normal((1, 160, 1)) * np.ones((160, 1, 3))
+        write_png(tmp_path / f"{i}.png", np.clip(0.5 + stripes, 0, 1).astype(np.float32))
+    found = adapt(tmp_path, CAMERAS, clean=folders / "clean", downsample=1, draws=128)
+    assert found.strange > 0.5
+
+
+def test_predictions_without_a_row_are_those_of_a_fit_without_it(rng):
+    x, y = rng.standard_normal((20, 6)), rng.standard_normal((20, 1))
+    y += x[:, :1]
+    x, y = x - x.mean(0), y - y.mean(0)
+    _, left_out, residual = _ridge(x, y, x[:2])
+    wanted = []
+    for penalty in 20 * np.geomspace(1e-4, 10, 12):
+        rows = []
+        for i in range(20):
+            others = np.arange(20) != i
+            a = np.hstack([x, np.ones((20, 1))])
+            system = a[others].T @ a[others] + penalty * np.diag([1] * 6 + [0])
+            rows.append(a[i] @ np.linalg.solve(system, a[others].T @ y[others]))
+        wanted.append(np.asarray(rows))
+    best = min(wanted, key=lambda rows: ((rows - y) ** 2).mean())
+    np.testing.assert_allclose(left_out, best, atol=1e-10)
+    np.testing.assert_allclose(residual, y - best, atol=1e-10)
+
+
+def test_what_statistics_do_not_tell_stays(rng):
+    """Two parameters, of which the statistics show one, and a switch that they show."""
+    drawn = np.stack([rng.random(600), rng.random(600), rng.integers(0, 2, 600)], 1)
+    shown = np.stack([drawn[:, 0], drawn[:, 2]], 1) @ rng.standard_normal((2, 8))
+    statistics = shown + 0.02 * rng.standard_normal((600, 8))
+    laws = {"a": Uniform(0, 1), "b": Uniform(0, 1), "c": Bernoulli(0.5)}
+    seen = np.abs(drawn[:, 0] - 0.3) + np.abs(drawn[:, 2] - 1) < 0.03
+    told, kept, strange = _nearest(statistics, drawn, statistics[seen], laws)
+    assert told[0] > 0.98 and told[1] < 0.05 and told[2] > 0.98 and strange < 0.1
+    a, b, c = (_narrowed(law, kept[:, i]) for i, law in enumerate(laws.values()))
+    assert 0.2 < a.low < 0.3 < a.high < 0.4
+    assert b.high - b.low > 0.7 and c.p > 0.99
+
+
+def test_what_cannot_be_used_is_told(folders, tmp_path):
+    write_png(tmp_path / "small.png", np.full((100, 300, 3), 0.5, np.float32))
+    with pytest.raises(InputError, match="100x300 px is smaller than a crop of 128 px"):
+        adapt(tmp_path, CAMERAS, clean=folders / "clean", draws=64)
+    with pytest.raises(InputError, match="draws = 10: expected 64 at least"):
+        adapt(folders / "noisy", CAMERAS, draws=10)
+    fixed = CAMERAS.override(gaussian_noise={"std": 0.1}, jpeg={"quality": 90.0})
+    with pytest.raises(InputError, match="draws no parameter"):
+        adapt(folders / "noisy", fixed, clean=folders / "clean", draws=64)
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_recipe_and_trains_on_it(folders, tmp_path, capsys):
+    CAMERAS.save(tmp_path / "cameras.toml")
+    options = {"features": (8, 8), "depth": 1, "estimator": 4}
+    save_network(
+        tmp_path / "start.npz", make_model("levelnet", **options), "levelnet", options, light="encoded"
+    )
+    recipe, run = tmp_path / "adapted.toml", tmp_path / "run"
+    call = [
+        "adapt",
+        folders / "noisy",
+        "-o",
+        recipe,
+        "--recipe",
+        tmp_path / "cameras.toml",
+        "--downsample",
+        2,
+    ]
+    call += ["--draws", 64, "--run", run, "--start", tmp_path / "start.npz", "--steps", 2, "--json"]
+    # crops of 128 px do not come of pictures of 200 px made smaller
+    assert main([str(part) for part in call]) == 2
+    assert "smaller than a patch of 128 px" in capsys.readouterr().err
+    call += ["--clean", folders / "clean", "--downsample", 1]
+    assert main([str(part) for part in call]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["run"]["finished"] and told["priors"][0]["name"] == "gaussian_noise.std"
+    assert Recipe.load(recipe).name == "cameras-adapted"
+    out = tmp_path / "out.png"
+    assert main(["denoise", "--run", str(run), str(folders / "noisy" / "0.png"), "-o", str(out)]) == 0
+    assert read_image(out).shape == (200, 200, 3)
