@@ -1,8 +1,9 @@
 """A recipe narrowed to a camera, from nothing but noisy pictures of it.
 
-Parameters are drawn from the recipe and applied to clean crops. Statistics of these crops predict the
-parameters; the draws whose predictions are nearest to those of the camera's own crops are kept, and each
-prior is narrowed to them. What the statistics do not tell stays as it was.
+Parameters are drawn from the recipe and applied to clean crops. Statistics of these crops predict what the
+cameras did (their noise, their sharpness, their parameters); the draws whose predictions are nearest to those
+of the camera's own crops are kept, and each prior is narrowed to them. Then again, from the narrowed priors.
+What the statistics do not tell stays as it was.
 
 Source: approximate Bayesian computation with predictions as statistics (Fearnhead & Prangle 2012) and with
 regression adjustment (Beaumont, Zhang & Balding 2002).
@@ -11,9 +12,10 @@ regression adjustment (Beaumont, Zhang & Balding 2002).
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.distance import cdist
 
@@ -21,22 +23,32 @@ from jaxisp.data.clean import load_clean
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
-from jaxisp.models.cells import CELL, cell_statistics
+from jaxisp.models.cells import CELL, LEAST, cell_statistics, told_levels
+from jaxisp.models.levels import measured_map
 from jaxisp.params import specs
 from jaxisp.phase import CfaPhase
 from jaxisp.priors import Bernoulli, Distribution, LogUniform, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
+from jaxisp.train.target import without_noise
 
 SIDE = 128
 """Of the crops that are compared [px]."""
 BATCH = 32
 KEPT = 0.02
 """Share of the draws that is kept for each crop of the camera."""
-LEAST = 16
+FEWEST = 16
 """Draws that are kept at least."""
 WITHIN = 0.95
 """Share of what was kept that a narrowed range holds."""
+EFFECTS = (
+    "noise of luma [1/255]", "noise of chroma [1/255]",
+    "sharpness at 0.19 cycles/px", "sharpness at 0.31 cycles/px", "sharpness at 0.44 cycles/px",
+)  # fmt: skip
+"""What is predicted beside parameters: the mean standard deviation of the noise, and how much of the detail
+of the clean crops the camera passes."""
+ROUNDS = 2
+"""Each draws from what the one before left."""
 STRANGE = 0.99
 """A crop that is farther from its nearest draws than this share of the draws are from theirs is strange."""
 
@@ -66,6 +78,7 @@ class Adaptation:
         recipe: the narrowed recipe.
         priors: each parameter's, in the order of the recipe.
         crops: of the camera that were compared.
+        effects: what the camera does, by the names of `EFFECTS`: mean of what its crops tell.
         strange: share of them that no draw of the recipe resembles. Above some .2 the recipe lacks an effect
             of this camera: `jaxisp diagnose` says which.
         skipped: (file, reason) of pictures that could not be used.
@@ -74,6 +87,7 @@ class Adaptation:
     recipe: Recipe
     priors: tuple[Narrowed, ...]
     crops: int
+    effects: dict[str, float]
     strange: float
     skipped: tuple[tuple[str, str], ...]
 
@@ -104,8 +118,8 @@ def adapt(
     Raises:
         InputError: no picture can be used, too few draws, or the recipe draws nothing.
     """
-    if draws < 4 * LEAST:
-        raise InputError(f"draws = {draws}: expected {4 * LEAST} at least")
+    if draws < 4 * FEWEST:
+        raise InputError(f"draws = {draws}: expected {4 * FEWEST} at least")
     recipe = find_recipe(recipe)
     laws = dict(_laws(recipe))
     if not laws:
@@ -114,30 +128,35 @@ def adapt(
     crops, skipped = _noisy_crops(noisy, per_image, rng)
     pictures = load_clean(clean or noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
     seen = _summaries(crops)
-    statistics, drawn = [], []
-    key = jax.random.key(seed)
-    for start in range(0, draws, BATCH):
-        images = np.stack([_crop(pictures.images, rng) for _ in range(min(BATCH, draws - start))])
-        degraded, _, params = recipe.degrade(key, images, start)
-        statistics.append(_summaries(np.asarray(degraded)))
-        drawn.append(_values(params, laws))
-        tick(start + len(images), draws, "drawing cameras")
-    told, kept, strange = _nearest(np.concatenate(statistics), np.concatenate(drawn), seen, laws)
-    priors = tuple(
-        Narrowed(f"{stage}.{field}", law, _narrowed(law, kept[:, i]), round(float(told[i]), 3))
-        for i, ((stage, field), law) in enumerate(laws.items())
-    )
-    changed: dict[str, dict[str, Any]] = {}
-    for (stage, field), one in zip(laws, priors):
-        changed.setdefault(stage, {})[field] = one.after
-    found = recipe.override(**changed)
-    found = dataclasses.replace(
-        found,
-        chain=dataclasses.replace(found.chain, name=f"{recipe.name}-adapted"),
+    found, now = [], recipe
+    for i in range(ROUNDS):
+        start, end = (draws * n // ROUNDS for n in (i, i + 1))
+        made = [
+            _drawn(now, laws, pictures.images, seed, range(n, min(n + BATCH, end)), rng, draws, tick)
+            for n in range(start, end, BATCH)
+        ]
+        statistics, effects, drawn = (np.concatenate(part) for part in zip(*made))
+        found.append(_nearest(statistics, effects, drawn, seen, laws))
+        changed: dict[str, dict[str, Any]] = {}
+        for (stage, field), values in zip(laws, found[-1].kept.T):
+            changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
+        now = recipe.override(**changed)
+    # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
+    told, strange = found[0].told, found[0].strange
+    about = {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}
+    narrowed = dataclasses.replace(
+        now,
+        chain=dataclasses.replace(now.chain, name=f"{recipe.name}-adapted"),
         description=f"{recipe.description}; narrowed to noisy pictures of one camera",
-        meta={**recipe.meta, "adapted": {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}},
+        meta={**recipe.meta, "adapted": about},
     )
-    return Adaptation(found, priors, len(crops), strange, (*skipped, *pictures.skipped))
+    priors = tuple(
+        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(float(share), 3))
+        for ((stage, field), law), share in zip(laws.items(), told)
+    )
+    return Adaptation(
+        narrowed, priors, len(crops), _in_units(found[-1].effects), strange, (*skipped, *pictures.skipped)
+    )
 
 
 def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
@@ -180,17 +199,53 @@ def _crop(images: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     return (crop[:, ::-1] if rng.integers(2) else crop).astype(np.float32) / 65535
 
 
+def _drawn(
+    recipe: Recipe,
+    laws: Any,
+    pictures: Sequence[np.ndarray],
+    seed: int,
+    indices: range,
+    rng: np.random.Generator,
+    draws: int,
+    tick: Callable[[int, int, str], Any],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Statistics, effects and parameters of a batch of draws."""
+    key, clean = jax.random.key(seed), np.stack([_crop(pictures, rng) for _ in indices])
+    noisy, _, params = recipe.degrade(key, clean, indices.start)
+    camera = without_noise(recipe).degrade(key, clean, indices.start)[0]  # of the same draw
+    tick(indices.stop, draws, "drawing cameras")
+    effects = np.asarray(_effects(clean, camera, noisy), np.float64)
+    return _summaries(np.asarray(noisy)), effects, _values(params, laws)
+
+
+@jax.jit
+def _effects(clean: jax.Array, camera: jax.Array, noisy: jax.Array) -> jax.Array:
+    """(N, 5) of `EFFECTS`: logarithms of noise and of sharpness in bands."""
+    noise = told_levels(measured_map(noisy, camera)).mean((1, 2))
+    # of luma: the mean energies in the bands of frequencies 3, 5 and 7, along rows and along columns
+    after, before = (
+        cell_statistics(x)[..., :14].reshape(len(x), -1, 7, 2).mean((1, 3))[:, 2::2] for x in (camera, clean)
+    )
+    return jnp.concatenate([noise, (after - before) / 2], -1)
+
+
+def _in_units(effects: np.ndarray) -> dict[str, float]:
+    told = 2 ** (4 * effects)
+    values = [*(LEAST * 255 * (told[:2] - 1)), *told[2:]]
+    return {name: round(float(value), 3) for name, value in zip(EFFECTS, values)}
+
+
 @jax.jit
 def _of_parts(images: jax.Array) -> jax.Array:
     """Mean statistics of the quarter of the cells that is flattest, and of that with most detail."""
     cells = cell_statistics(images)
     cells = cells.reshape(len(images), -1, cells.shape[-1])
     slow = cells[..., :2].sum(-1)  # of luma, in its lowest band
-    order = jax.numpy.argsort(slow, axis=1)
+    order = jnp.argsort(slow, axis=1)
     quarter = (SIDE // CELL) ** 2 // 4
     ends = order[:, :quarter], order[:, -quarter:]
-    parts = [jax.numpy.take_along_axis(cells, end[..., None], 1) for end in ends]
-    return jax.numpy.concatenate([part.mean(1) for part in parts], -1)
+    parts = [jnp.take_along_axis(cells, end[..., None], 1) for end in ends]
+    return jnp.concatenate([part.mean(1) for part in parts], -1)
 
 
 def _summaries(images: np.ndarray) -> np.ndarray:
@@ -214,17 +269,29 @@ def _values(params: Any, laws: dict[tuple[str, str], Distribution]) -> np.ndarra
     return np.stack(columns, 1)
 
 
+class _Nearest(NamedTuple):
+    told: np.ndarray
+    """Share of each parameter's variance that is predicted."""
+    effects: np.ndarray
+    """Mean of what is predicted for the camera's crops."""
+    kept: np.ndarray
+    """(kept, parameters): those of the draws nearest to each crop."""
+    strange: float
+    """Share of crops that are farther from their nearest draws than draws are from theirs."""
+
+
 def _nearest(
-    statistics: np.ndarray, drawn: np.ndarray, seen: np.ndarray, laws: Any
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """What share of each parameter is told, the draws nearest to what was seen, what of that is strange."""
+    statistics: np.ndarray, effects: np.ndarray, drawn: np.ndarray, seen: np.ndarray, laws: Any
+) -> _Nearest:
     mean, scale = statistics.mean(0), statistics.std(0) + 1e-6
-    spread = drawn.std(0) + 1e-12
-    wanted = (drawn - drawn.mean(0)) / spread
-    predicted, left_out, residual = _ridge((statistics - mean) / scale, wanted, (seen - mean) / scale)
+    wanted = np.concatenate([effects, drawn], 1)
+    middle, spread = wanted.mean(0), wanted.std(0) + 1e-12
+    predicted, left_out, residual = _ridge(
+        (statistics - mean) / scale, (wanted - middle) / spread, (seen - mean) / scale
+    )
     told = np.clip(1 - (residual**2).mean(0), 0, 1)
     weight = np.sqrt(told) / np.sqrt((residual**2).mean(0) + 1e-6)
-    count = max(LEAST, round(KEPT * len(drawn)))
+    count = max(FEWEST, round(KEPT * len(drawn)))
 
     def nearest(points: np.ndarray, own: bool) -> tuple[np.ndarray, np.ndarray]:
         apart = cdist(points * weight, left_out * weight)
@@ -236,10 +303,14 @@ def _nearest(
     order, far = nearest(predicted, own=False)
     usual = np.quantile(nearest(left_out, own=True)[1], STRANGE)
     # what was drawn, moved by what its crop and the camera's differ in: a draw is never just like the camera
-    moved = drawn[order] + (predicted[:, None] - left_out[order]) * spread
+    first = effects.shape[1]
+    moved = drawn[order] + ((predicted[:, None] - left_out[order]) * spread)[..., first:]
     switches = [isinstance(law, Bernoulli) for law in laws.values()]
     kept = np.where(switches, drawn[order], np.clip(moved, drawn.min(0), drawn.max(0)))
-    return told, kept.reshape(-1, len(laws)), float((far > usual).mean())
+    return _Nearest(
+        told[first:], (predicted * spread + middle)[:, :first].mean(0), kept.reshape(-1, len(laws)),
+        float((far > usual).mean()),
+    )  # fmt: skip
 
 
 def _ridge(x: np.ndarray, y: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from jaxisp.adapt import _narrowed, _nearest, _ridge, adapt
 from jaxisp.cli import main
+from jaxisp.color import LUMA_601
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.models import make_model, save_network
@@ -59,6 +60,9 @@ def test_the_camera_lies_in_the_narrowed_ranges(folders):
     assert quality.high - quality.low < 0.3 * 68
     assert found.priors[0].told > 0.9 and found.strange < 0.3 and found.crops > 20
     assert found.recipe.prior["jpeg"].quality == quality
+    luma = 0.03 * 255 * np.sqrt((np.asarray(LUMA_601) ** 2).sum())
+    assert 0.7 * luma < found.effects["noise of luma [1/255]"] < 1.4 * luma
+    assert 0.9 < found.effects["sharpness at 0.19 cycles/px"] < 1.1
     assert Recipe.from_toml(found.recipe.to_toml()) == found.recipe
 
 
@@ -98,8 +102,9 @@ def test_what_statistics_do_not_tell_stays(rng):
     statistics = shown + 0.02 * rng.standard_normal((600, 8))
     laws = {"a": Uniform(0, 1), "b": Uniform(0, 1), "c": Bernoulli(0.5)}
     seen = np.abs(drawn[:, 0] - 0.3) + np.abs(drawn[:, 2] - 1) < 0.03
-    told, kept, strange = _nearest(statistics, drawn, statistics[seen], laws)
+    told, effects, kept, strange = _nearest(statistics, drawn[:, :1], drawn, statistics[seen], laws)
     assert told[0] > 0.98 and told[1] < 0.05 and told[2] > 0.98 and strange < 0.1
+    np.testing.assert_allclose(effects, drawn[seen, 0].mean(), atol=0.02)
     a, b, c = (_narrowed(law, kept[:, i]) for i, law in enumerate(laws.values()))
     assert 0.2 < a.low < 0.3 < a.high < 0.4
     assert b.high - b.low > 0.7 and c.p > 0.99

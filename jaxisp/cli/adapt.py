@@ -91,7 +91,8 @@ def _as_json(arguments: Namespace, found: Any, result: Any) -> None:
     skipped = [{"file": name, "reason": reason} for name, reason in found.skipped]
     print_json(
         {
-            "recipe": arguments.out, "crops": found.crops, "strange": found.strange, "priors": priors,
+            "recipe": arguments.out, "crops": found.crops, "effects": found.effects,
+            "strange": found.strange, "priors": priors,
             "skipped": skipped, "run": result.as_dict() if result else None,
         }
     )  # fmt: skip
@@ -103,6 +104,8 @@ def _print(arguments: Namespace, found: Any, result: Any) -> None:
         ("parameter", "told", "before", "after"),
         [(one.name, f"{one.told:.2f}", repr(one.before), repr(one.after)) for one in told if one.told > 0.1],
     )
+    for name, value in found.effects.items():
+        say(f"{name}: {value:.2f}")
     say(f"{arguments.out}: by {found.crops} crops, {found.strange:.0%} of them unlike all that was drawn")
     if found.strange > STRANGE:
         say("the recipe lacks an effect of this camera: jaxisp diagnose says which")
