@@ -48,7 +48,8 @@ def fine_tune(
         about = read_arrays(begin)[1]
         config = TrainConfig(
             clean=tuple(map(str, several(clean))), recipe=str(recipe), model=about["model"],
-            model_options=about["options"], light=about["light"], start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
+            model_options=about["options"], light=about["light"],
+            start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
             patch=64, per_image=20, target="camera", loss="log_rms", lr=3e-4, pool=min(8192, 16 * steps),
         )  # fmt: skip
         return train(config, run, resume=True, tick=tick)
