@@ -1,14 +1,15 @@
-"""Classical denoisers on the real sets: the rows that every network is to be held against.
+"""Classical denoisers on the real sets, and the network that comes with the package beside them.
 
 Each is measured with the strength that `jaxisp evaluate` gives it; with --more also with the one that turns
 out best on the set itself. That one is chosen by the reported figures: it only says what a better choice
-would gain.
+would gain. The network is blind.
 
 python -m experiments.denoisers.classical DATA
 """
 
 import argparse
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from benchmarks.machine import machine
 from experiments.denoisers.report import save, tables
 from jaxisp.cli.devices import use_cores
+from jaxisp.models.apply import SHIPPED, shipped_denoiser
 from jaxisp.train import AlignedPair, Classical, align_dataset, evaluate_pairs
 from jaxisp.train.classical import METHODS
 
@@ -24,6 +26,7 @@ SETS = {"iphone8": None, "polyu": 248, "sidd": 248}
 """Real sets, and the side of the middle part that is used [px]."""
 KEY = "classical"
 NOISY = "noisy input"
+NETWORK = "the package's network"
 FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0)
 """Of the chosen strength, among which the best in hindsight is."""
 
@@ -36,6 +39,8 @@ def rows(data: Path, name: str, more: bool) -> list[dict[str, Any]]:
         whole = _pairs(data / name, SETS[name], "whole")
         title = f"{NOISY}, aligned as a whole"
         made.insert(0, _row(title, name, None, evaluate_pairs(lambda noisy: noisy, whole)))
+    if (resources.files("jaxisp.models") / SHIPPED).is_file():
+        made.append(_row(NETWORK, name, None, evaluate_pairs(shipped_denoiser()[0], pairs)))
     for method in METHODS:
         if Classical(method).missing():
             continue

@@ -2,9 +2,10 @@
 
 python -m experiments.denoisers.general clean DATA --work RUNS --photos FOLDER ...
 python -m experiments.denoisers.general train --work RUNS
-python -m experiments.denoisers.general export --work RUNS
+python -m experiments.denoisers.general export --work RUNS --out FILE
 
-Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, of another run.
+Each goes on where it was stopped. `train --start FILE` begins with the weights of a file, of another run: so
+the network that comes with the package, `jaxisp/models/general.npz`, is trained further.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.io.files import find_images
 from jaxisp.models import save_network
+from jaxisp.models.files import read_arrays
 from jaxisp.process.cache import keep_compiled
 from jaxisp.train import TrainConfig, load_denoiser, train
 
@@ -89,10 +91,14 @@ def configuration(work: Path, **changes: Any) -> TrainConfig:
     return TrainConfig(clean=(str(work / "clean"),), **{**TRAINING, **changes})
 
 
-def export(run: Path, path: Path, **about: Any) -> None:
-    """The averaged weights of a run's last checkpoint as a file."""
+def export(run: Path, path: Path) -> None:
+    """The averaged weights of a run's last checkpoint, and how many patches they have seen."""
     denoiser, config = load_denoiser(run, "last")
-    save_network(path, denoiser.model, config.model, config.model_options, light=config.light, **about)
+    before = read_arrays(config.start)[1].get("patches", 0) if config.start else 0
+    save_network(
+        path, denoiser.model, config.model, config.model_options, light=config.light, recipe=config.recipe,
+        patches=before + config.steps * config.batch,
+    )  # fmt: skip
 
 
 def main() -> None:
