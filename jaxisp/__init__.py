@@ -30,8 +30,8 @@ _HOME = {
     "keep_freed": "jaxisp.process.memory",
 }
 _MODULES = {
-    "calibrate", "camera", "data", "explore", "fit", "gap", "interop", "io", "losses", "metrics", "models",
-    "params", "priors", "recipes", "samples", "stages", "train",
+    "adapt", "calibrate", "camera", "data", "explore", "fit", "gap", "interop", "io", "losses", "metrics",
+    "models", "params", "priors", "recipes", "samples", "stages", "train",
 }  # fmt: skip
 
 __all__ = [*sorted(_HOME), *sorted(_MODULES)]

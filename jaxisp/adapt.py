@@ -32,6 +32,8 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.train.target import without_noise
 
+__all__ = ["EFFECTS", "Adaptation", "Narrowed", "adapt"]
+
 SIDE = 128
 """Of the crops that are compared [px]."""
 BATCH = 32
@@ -125,8 +127,8 @@ def adapt(
     if not laws:
         raise InputError(f"recipe {recipe.name!r} draws no parameter: there is nothing to narrow")
     rng = np.random.default_rng(seed)
-    crops, skipped = _noisy_crops(noisy, per_image, rng)
     pictures = load_clean(clean or noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
+    crops, skipped = _noisy_crops(noisy, per_image, rng)
     seen = _summaries(crops)
     found, now = [], recipe
     for i in range(ROUNDS):

@@ -58,6 +58,8 @@ LINKED = (  # {} is a link to itself, then one to nothing
     "develop a.dng -o {}/a.png", "develop a.dng -o a.png --camera {}.toml", "fit {} -o c.toml",
     "fit in -o {}.toml", "fit in -o {}/c.toml", "fit in -o c.toml --report {}",
     "fit in -o c.toml --recipe {}.toml", "calibrate {} {} -o n.toml", "calibrate a.dng a.dng -o {}.toml",
+    "adapt {} -o a.toml", "adapt in -o {}.toml",
+    "adapt in -o {}/a.toml", "adapt in -o a.toml --clean {}", "adapt in -o a.toml --recipe {}.toml",
     "recipe {}.toml -o b.toml", "recipe phone -o {}.toml", "recipe phone -o b.toml --noise {}.toml",
     "degrade {} -o out --recipe awgn", "degrade {}.png -o out --recipe awgn",
     "degrade in -o {} --recipe awgn", "degrade in -o {}/out --recipe awgn",

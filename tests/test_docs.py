@@ -31,7 +31,7 @@ ROOT = Path(__file__).parent.parent
 PUBLIC = [
     "jaxisp", "jaxisp.fit", "jaxisp.train", "jaxisp.data", "jaxisp.gap", "jaxisp.models", "jaxisp.io",
     "jaxisp.samples", "jaxisp.explore", "jaxisp.params", "jaxisp.priors", "jaxisp.metrics", "jaxisp.camera",
-    "jaxisp.losses", "jaxisp.calibrate", "jaxisp.interop",
+    "jaxisp.losses", "jaxisp.calibrate", "jaxisp.interop", "jaxisp.adapt",
 ]  # fmt: skip
 OPTIONAL = {"torch", "datasets"}
 MISSING = [name for name in ("sphinx", "myst_parser", "furo", "jupytext") if find_spec(name) is None]

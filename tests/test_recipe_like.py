@@ -187,15 +187,15 @@ def test_what_is_no_recipe_is_told_in_words(tmp_path):
 
 def test_every_public_place_takes_all_forms():
     """A parameter `recipe` or `camera` of a public function may be anything that stands for one."""
-    modules = "calibrate camera data data.loader fit gap generate interop recipes train"
+    modules = "adapt calibrate camera data data.loader fit gap generate interop recipes train"
     seen = set()
     for module in (importlib.import_module(f"jaxisp.{name}") for name in modules.split()):
         own = [n for n, v in vars(module).items() if getattr(v, "__module__", "") == module.__name__]
         for name in getattr(module, "__all__", [n for n in own if not n.startswith("_")]):
             value = getattr(module, name)
             call = value.__init__ if inspect.isclass(value) else value
-            if name in ("TrainConfig", "make_step") or not inspect.isfunction(call):
-                continue  # names alone; what `train` hands on
+            if name in ("TrainConfig", "make_step", "Adaptation") or not inspect.isfunction(call):
+                continue  # names alone; what `train` hands on; what was found
             # the camera of a class is what was found, or a name
             kinds = {"recipe"} if inspect.isclass(value) else {"recipe", "camera"}
             for parameter in inspect.signature(call).parameters.keys() & kinds:

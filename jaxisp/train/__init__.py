@@ -7,6 +7,7 @@ from jaxisp.train.config import TrainConfig
 from jaxisp.train.denoiser import load_denoiser
 from jaxisp.train.devices import make_mesh, replicate, spread
 from jaxisp.train.evaluate import AlignedPair, align_dataset, evaluate_dataset, evaluate_pairs
+from jaxisp.train.finetune import fine_tune
 from jaxisp.train.optimizer import make_optimizer, schedule
 from jaxisp.train.step import LOSSES, State, init_state, make_step, weights
 from jaxisp.train.trainer import TrainResult, train
@@ -24,6 +25,7 @@ __all__ = [
     "denoise_files",
     "evaluate_dataset",
     "evaluate_pairs",
+    "fine_tune",
     "init_state",
     "load_denoiser",
     "make_mesh",

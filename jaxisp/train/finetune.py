@@ -10,12 +10,13 @@ from jaxisp.checks import several
 from jaxisp.errors import InputError
 from jaxisp.models.apply import SHIPPED
 from jaxisp.models.files import read_arrays
+from jaxisp.recipes import RecipeLike, find_degradation
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.trainer import TrainResult, train
 
 
 def fine_tune(
-    recipe: str | Path,
+    recipe: RecipeLike,
     clean: str | Path | Sequence[str | Path],
     run: str | Path,
     *,
@@ -25,10 +26,10 @@ def fine_tune(
     seed: int = 0,
     tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
 ) -> TrainResult:
-    """Train a network further on a recipe, as `jaxisp.adapt` narrows one; resumed where it was stopped.
+    """Train a network further on the recipe of one camera; resumed where it was stopped.
 
     Args:
-        recipe: the TOML file of a recipe, or a name.
+        recipe: as `jaxisp.adapt` narrows one.
         clean: folders of photographs, which are made smaller.
         run: the folder of the run.
         start: a file of weights; those that come with the package unless given.
@@ -43,13 +44,15 @@ def fine_tune(
     shipped = resources.files("jaxisp.models") / SHIPPED
     if start is None and not shipped.is_file():
         raise InputError("no network comes with this jaxisp: give the weights of one to begin with")
+    found = find_degradation(recipe)
+    name = str(recipe) if isinstance(recipe, str | Path) else found.name
     with contextlib.ExitStack() as stack:
         begin = start or stack.enter_context(resources.as_file(shipped))
         about = read_arrays(begin)[1]
         config = TrainConfig(
-            clean=tuple(map(str, several(clean))), recipe=str(recipe), model=about["model"],
+            clean=tuple(map(str, several(clean))), recipe=name, model=about["model"],
             model_options=about["options"], light=about["light"],
             start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
             patch=64, per_image=20, target="camera", loss="log_rms", lr=3e-4, pool=min(8192, 16 * steps),
         )  # fmt: skip
-        return train(config, run, resume=True, tick=tick)
+        return train(config, run, recipe=found, resume=True, tick=tick)
