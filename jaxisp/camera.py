@@ -23,6 +23,12 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.sensor import Clip
 
+__all__ = [
+    "develop", "exposure_for_highlights", "high_percentile", "params_for", "shaded_mosaic", "standard_camera",
+    "with_cfa",
+]  # fmt: skip
+__dir__ = __all__.copy  # what an editor completes
+
 WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"
 COLOR_MATRIX = "color_matrix"

@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
-from jaxisp.errors import InputError, meant
+from jaxisp.errors import InputError, meant, short
 from jaxisp.node import Node, Stage, stage
 
 Edit = Callable[[Node], tuple[Node, ...] | None]
@@ -16,11 +16,20 @@ Edit = Callable[[Node], tuple[Node, ...] | None]
 C = TypeVar("C", bound=Node)
 
 
+def by_stage(who: str, stages: Any, named: Mapping[str, Any]) -> dict[str, Any]:
+    """What `override` was given, as one dict and by name."""
+    if stages is not None and not isinstance(stages, Mapping):
+        raise InputError(f"{who!r}: override takes dicts by stage, as median={{...}}, got {short(stages)}")
+    if twice := sorted(set(stages or {}) & set(named)):
+        raise InputError(f"{who!r}: override was given {twice[0]} twice")
+    return {str(name): values for name, values in (stages or {}).items()} | dict(named)
+
+
 def insert(chain: C, nodes: tuple[Node, ...], before: str | None, after: str | None) -> C:
     """The chain with nodes beside the one of a name."""
     if (before is None) == (after is None) or not nodes:
         raise InputError(
-            f"{chain.name!r}: insert takes stages and either before= or after=, the name of a stage"
+            f"{chain.name!r}: insert takes stages and one of before= and after=, the name of a stage"
         )
     name = before if before is not None else after
     assert name is not None
@@ -103,6 +112,6 @@ def _all(node: Any) -> Iterator[str]:
 def _require(chain: Any, name: str) -> None:
     known = [found for node in chain.nodes for found in _all(node)]
     if name not in known:
-        raise InputError(
-            f"{chain.name!r} has no stage {name!r}{meant(str(name), known) or f'; it has {known}'}"
-        )
+        own = getattr(name, "name", None)  # of a stage that was given itself
+        hint = f"; give its name, {own!r}" if own in known else meant(str(name), known)
+        raise InputError(f"{chain.name!r} has no stage {short(name)}{hint or f'; it has {known}'}")

@@ -42,6 +42,7 @@ from jaxisp.stages.spaces import (
 from jaxisp.stages.transfer import prophoto_eotf, prophoto_oetf, srgb_eotf, srgb_oetf
 
 __all__ = ["Explorer", "Pictures", "explore_stages", "for_screen", "in_domain", "picture_after"]
+__dir__ = __all__.copy  # what an editor completes
 
 MOST = 18
 """Parameters with more numbers than this get no sliders."""

@@ -34,7 +34,7 @@ def test_a_recipe_fits_on_a_screen(name):
 def test_a_recipe_shows_what_it_draws_and_its_options():
     text = " ".join(repr(RECIPES["phone-any"]()).split())
     assert "shot=LogUniform(0.003, 0.06), read=LogUniform(0.001, 0.03)" in text
-    assert "cfa='GRBG'" in text and "use_bilateral (Gate), on=Choice(0, 1)" in text
+    assert "cfa='GRBG'" in text and "use_bilateral (Gate), on=Choice((0, 1))" in text
 
 
 def test_tables_hold_bounds_and_units():

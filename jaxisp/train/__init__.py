@@ -36,3 +36,4 @@ __all__ = [
     "train",
     "weights",
 ]
+__dir__ = __all__.copy  # what an editor completes
