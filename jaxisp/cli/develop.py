@@ -7,11 +7,11 @@ from jaxisp.cli.common import add_command, print_json, say, warn
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "develop", run, "render a RAW file")
+    command = add_command(commands, "develop", run, "render a RAW file", draws=True)
     command.add_argument(
         "raw", metavar="RAW", help="a Bayer or X-Trans RAW that LibRaw opens, or NAME.raw.npy"
     )
-    command.add_argument("-o", "--out", required=True, metavar="OUT.png")
+    command.add_argument("-o", "--out", required=True, metavar="OUT.png", help="the picture to write")
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="a camera written by jaxisp fit (default: a plain one)"
     )

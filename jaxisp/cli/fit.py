@@ -28,7 +28,11 @@ def add_commands(commands: Any) -> None:
         "states what the files do not: camera, iso, [raw] of NAME.raw.npy"
     )
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG pairs")
-    command.add_argument("-o", "--out", required=True, metavar="CAMERA.toml")
+    command.add_argument(
+        "-o", "--out", required=True, metavar="CAMERA.toml",
+        help="the camera to write, for develop, recipe and diagnose; what a fit that is stopped has done is "
+        "kept beside it, in CAMERA.toml.partial, and the same command goes on from there",
+    )  # fmt: skip
     command.add_argument(
         "--report",
         metavar="DIR",

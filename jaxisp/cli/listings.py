@@ -1,9 +1,10 @@
 """`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: listings."""
 
+import sys
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, print_table, say
+from jaxisp.cli.common import add_command, print_json, print_table, say, terminal_width
 from jaxisp.errors import InputError, meant
 
 
@@ -54,14 +55,14 @@ def _print_groups(stages: list[dict[str, Any]]) -> None:
     """A line for each stage, group by group in the order of a camera."""
     from jaxisp.catalogue import GROUPS, first_sentence, group_of
 
-    width = max(len(s["name"]) for s in stages)
+    width, most = max(len(s["name"]) for s in stages), terminal_width() or sys.maxsize
     for group, what in GROUPS.items():
         own = [s for s in stages if group_of(s["name"]) == group]
         if own:
             say(f"{group}: {what}")
         for s in own:
             line = f"  {s['name']:<{width}}  {' '.join(first_sentence(s['summary']).split())}"
-            say(line if len(line) <= 110 else f"{line[:107].rstrip()}...")
+            say(line if len(line) <= most else f"{line[: most - 3].rstrip()}...")
     parameters = sum(len(s["params"]) for s in stages)
     say(f"{len(stages)} stages, {parameters} parameters; jaxisp stages NAME shows one whole")
 
