@@ -27,6 +27,12 @@ def several(given: Any) -> tuple[Any, ...]:
     return (given,) if alone else tuple(given)
 
 
+def check_whole(name: str, value: Any, least: int) -> None:
+    """Raise InputError where a value is no whole number, or below the least that it may be."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(f"{name} must be a whole number from {least} on, got {short(value)}")
+
+
 def check_finite(name: str, array: np.ndarray) -> np.ndarray:
     """Return `array`; raise InputError where it holds NaN or infinity."""
     bad = int((~np.isfinite(array)).sum())

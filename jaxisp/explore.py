@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from jaxisp.cfa import masks
+from jaxisp.checks import check_scale
 from jaxisp.domains import (
     ANY,
     ANY_RGB,
@@ -89,6 +90,9 @@ def in_domain(picture: Any, domain: Domain, cfa: str = "RGGB") -> jax.Array:
         cfa: of a mosaic.
     """
     encoded = _shares(jnp.asarray(picture))
+    check_scale(
+        "the explorer", ENCODED, encoded if isinstance(encoded, jax.core.Tracer) else np.asarray(encoded)
+    )
     light = srgb_eotf(encoded)
     if domain == MOSAIC:
         return mosaic(light, cfa=cfa)

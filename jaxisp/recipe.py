@@ -299,12 +299,18 @@ def taken(
     if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
         got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         advice = ""
-        if len(shape) == 3 and shape[-1] == 3:
+        if dtype is None:
+            advice = ": give an array, as np.asarray(image, np.float32)[None] / 255"
+        elif len(shape) == 3 and shape[-1] == 3:
             advice = ": give one picture as image[None]"
         elif len(shape) == 4 and shape[1] == 3 != shape[-1]:
             advice = ": move the channels last"
         elif dtype is not None and jnp.issubdtype(dtype, jnp.integer):
             advice = ": divide 8 bits by 255"
+        elif len(shape) == 4 and shape[-1] == 4:
+            advice = ": leave the fourth channel out, as images[..., :3]"
+        elif len(shape) == 3:
+            advice = ": make three channels of grey, as np.stack(3 * [images], -1)"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}{advice}")
     check_key(who, key)
     check_levels(images, who, domain)

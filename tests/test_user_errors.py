@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxisp.data import Batches
+from jaxisp.data import Batches, CleanPatches, DegradedBatches, batches, load_clean, patches
 from jaxisp.domains import RGB
 from jaxisp.errors import InputError, UnknownStage, meant
+from jaxisp.explore import picture_after
+from jaxisp.io import write_png
 from jaxisp.mixture import Mixture
 from jaxisp.options import between
 from jaxisp.pipeline import Chain, Gate, Shuffle, run, run_batch, run_in_strips, stage
@@ -184,9 +186,11 @@ def test_the_range_of_a_batch(place):
         (IMAGES[0], r"\(16, 18, 3\): give one picture as image\[None\]"),
         (np.moveaxis(IMAGES, -1, 1), "move the channels last"),
         (np.uint8(255 * IMAGES), "divide 8 bits by 255"),
-        (IMAGES.tolist(), r"got list$"),
+        (IMAGES.tolist(), r"got list: give an array"),
+        (IMAGES[..., 0], "make three channels of grey"),
+        (np.concatenate([IMAGES, IMAGES[..., :1]], -1), r"as images\[..., :3\]"),
     ],
-    ids=["one", "channels", "bytes", "list"],
+    ids=["one", "channels", "bytes", "list", "grey", "alpha"],
 )
 def test_the_shape_of_a_batch(images, advice):
     with pytest.raises(TypeError, match=advice):
@@ -497,3 +501,45 @@ def test_an_editor_completes_what_is_public(module):
     found = importlib.import_module(f"jaxisp.{module}".rstrip("."))
     assert set(dir(found)) == {*found.__all__, *({"__version__"} if not module else ())}
     assert all(hasattr(found, name) for name in found.__all__)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, "80", (80, 80), True, 1.5], ids=str)
+def test_sizes_of_batches_are_counts(wrong, tmp_path):
+    write_png(tmp_path / "a.png", IMAGES[0])
+    told = "must be a whole number from 1 on, got"
+    for made in (
+        lambda: batches(tmp_path, "awgn", wrong),
+        lambda: batches(tmp_path, "awgn", 8, batch=wrong, downsample=1),
+        lambda: batches(tmp_path, "awgn", 8, downsample=wrong),
+        lambda: next(patches(tmp_path, wrong)),
+        lambda: CleanPatches(load_clean(tmp_path, patch=8, downsample=1), wrong),
+        lambda: DegradedBatches(
+            CleanPatches(load_clean(tmp_path, patch=8, downsample=1), 8), "awgn", batch=wrong
+        ),
+    ):
+        with pytest.raises(InputError, match=told):
+            made()
+
+
+def test_what_is_no_source_of_patches(tmp_path):
+    for made, message in (
+        (
+            lambda: CleanPatches(str(tmp_path), 32),
+            r"CleanPatches takes what load_clean\(FOLDER, patch=32\) reads",
+        ),
+        (
+            lambda: Batches(str(tmp_path), "awgn"),
+            r"Batches takes what has batch\(indices\), .*jaxisp.data.batches",
+        ),
+        (lambda: Batches(IMAGES, "awgn"), r"Batches takes what has batch"),
+        (lambda: DegradedBatches(str(tmp_path), "awgn"), "DegradedBatches takes what has batch"),
+    ):
+        with pytest.raises(InputError, match=message):
+            made()
+
+
+def test_a_picture_to_explore_is_no_array_of_levels():
+    with pytest.raises(InputError, match="the explorer takes encoded sRGB"):
+        picture_after(stage("clip"), 255 * IMAGES[0])
+    given = np.uint8(255 * IMAGES[0])
+    assert np.allclose(picture_after(stage("srgb_eotf"), given), given / 255, atol=1e-3)
