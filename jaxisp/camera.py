@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.cfa import is_xtrans, size
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, short
 from jaxisp.io import Raw, orient
 from jaxisp.node import Around
 from jaxisp.pipeline import Chain, Node, Row, Stage, run_in_strips, signature, stage
@@ -136,6 +136,8 @@ def develop(raw: Raw, camera: RecipeLike | None = None, key: jax.Array | None = 
         InputError: the camera does not turn a mosaic into encoded sRGB, draws some of its parameters, or does
             not work on this pattern.
     """
+    if not hasattr(raw, "cfa"):
+        raise TypeError(f"develop takes what jaxisp.io.read_raw(PATH) reads, got {short(raw)}")
     xtrans = is_xtrans(raw.cfa)
     if camera is None:
         camera = standard_camera("demosaic_markesteijn" if xtrans else "demosaic_ahd")

@@ -90,6 +90,31 @@ def test_recipes(capsys):
     assert "phone-no-post" in run(capsys, "recipes")[1]
 
 
+def test_recipes_are_listed_by_name_or_word(capsys):
+    def names(*words):
+        status, out, _ = run(capsys, "recipes", *words, "--json")
+        assert status == 0
+        return [recipe["name"] for recipe in json.loads(out)]
+
+    assert names("phone") == ["phone"] and names("awgn", "phone") == ["awgn", "phone"]
+    assert names("phone-no") == ["phone-no-post", "phone-no-denoise", "phone-no-demosaic"]
+    status, out, err = run(capsys, "recipes", "fone")
+    assert status == 2 and not out and "is it phone?" in err
+
+
+def test_folders_of_outputs_are_made_before_the_work(capsys, tmp_path):
+    raw, new = dng(tmp_path / "a.dng"), tmp_path / "new"
+    assert run(capsys, "develop", raw, "-o", new / "b" / "a.png")[0] == 0 and (new / "b" / "a.png").is_file()
+    for command in (
+        ("develop", tmp_path / "none.dng", "-o", tmp_path / "other" / "a.png"),
+        ("recipe", tmp_path / "none.toml", "-o", tmp_path / "other" / "b.toml"),
+        ("degrade", tmp_path, "-o", new / "b" / "a.png", "--recipe", "awgn"),
+    ):
+        status, out, err = run(capsys, *command)
+        assert status == 2 and not out and err.count("\n") == 1
+        assert not (tmp_path / "other").exists()
+
+
 def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photographs, tmp_path):
     out, two = tmp_path / "out", [photographs / "p0.png", photographs / "p1.png"]
     status, text, _ = run(

@@ -19,7 +19,8 @@ def add_commands(commands: Any) -> None:
         help="a stage to show whole, a group to list, or a word to look for in names and summaries",
     )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
-    add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
+    recipes = add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
+    recipes.add_argument("names", nargs="*", metavar="RECIPE", help="a recipe to show, or a word in its name")
 
 
 def run_stages(arguments: Namespace) -> int:
@@ -101,7 +102,9 @@ def run_effects(arguments: Namespace) -> int:
 def run_recipes(arguments: Namespace) -> int:
     from jaxisp.catalogue import describe_recipes
 
-    recipes = describe_recipes()
+    known = {recipe["name"]: recipe for recipe in describe_recipes()}
+    found = [_recipes_of(known, name) for name in arguments.names] or [list(known)]
+    recipes = [known[name] for name in dict.fromkeys(name for own in found for name in own)]
     if arguments.json:
         print_json(recipes)
         return 0
@@ -112,3 +115,12 @@ def run_recipes(arguments: Namespace) -> int:
             print_table(("  parameter", "drawn from"), drawn)
         say()
     return 0
+
+
+def _recipes_of(known: dict[str, Any], word: str) -> list[str]:
+    """The recipe of a name; else those with the word in their name."""
+    found = [word] if word in known else [name for name in known if word.lower() in name]
+    if not word or not found:
+        hint = meant(word, known) or f"; there are {', '.join(known)}"
+        raise InputError(f"no recipe named {word!r}{hint}")
+    return found
