@@ -5,6 +5,7 @@ stands outside of the gate, and a gate around nothing is left out.
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
@@ -87,15 +88,20 @@ def _new(node: Any, edit: Edit) -> tuple[Node, ...]:
     inner = getattr(node, "nodes", None)
     if inner is not None:
         own = _each(inner, edit)
-        return (node if own == inner else dataclasses.replace(node, nodes=own),) if own else ()
+        return (node if same(own, inner) else dataclasses.replace(node, nodes=own),) if own else ()
     held = getattr(node, "node", None)
     if held is None:
         return (node,)
     own = _new(held, edit)
-    if own == (held,):
+    if same(own, (held,)):
         return (node,)
     name = "" if node.name == f"use_{held.name}" else node.name
     return tuple(dataclasses.replace(node, node=n, name=name) for n in own)
+
+
+def same(nodes: tuple[Node, ...], others: tuple[Node, ...]) -> bool:
+    """Whether these are the very nodes; equal chains may have other names."""
+    return len(nodes) == len(others) and all(map(operator.is_, nodes, others))
 
 
 def _gated(node: Any) -> str | None:

@@ -16,7 +16,7 @@ from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.checks import check_count, check_key, check_start
 from jaxisp.domains import CAMERA, ENCODED, LINEAR, PROPHOTO, XYZ_D65, Domain, accepts
-from jaxisp.edits import by_stage
+from jaxisp.edits import by_stage, same
 from jaxisp.errors import InputError, meant, one_line, short
 from jaxisp.io.files import parse_toml, read_toml, write_text
 from jaxisp.params import specs, strong
@@ -195,7 +195,7 @@ class Recipe:
         return self._with(self.chain.without(*names))
 
     def _with(self, chain: Chain) -> "Recipe":
-        if chain == self.chain:
+        if same(chain.nodes, self.chain.nodes):
             return self
         sizes = {name: np.shape(v.priority) for name, v in chain.init().items() if isinstance(v, Order)}
         # constant priorities of fewer or more nodes say nothing of the order now

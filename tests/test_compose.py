@@ -133,6 +133,13 @@ def test_editing_a_recipe():
     assert phone.chain.override(median={"footprint": "5x5"}).nodes[6] == stage("median", footprint="5x5")
 
 
+def test_a_chain_within_may_be_replaced_by_one_of_another_name():
+    inner = Chain((stage("clip"), stage("rounding")), "inner")
+    chain = Chain((Chain((inner, stage("median")), "whole"),), "outer")
+    other = chain.replace("inner", Chain(inner.nodes, "other"))
+    assert [n.name for n in other.nodes[0].nodes] == ["other", "median"] and other == chain
+
+
 def test_an_edited_recipe_says_so():
     """In its name, its text, its files and as a part of a mixture; and runs what is compiled already."""
     phone, (recipe, traces) = RECIPES["phone"](), lifting()
