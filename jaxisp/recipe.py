@@ -207,7 +207,8 @@ class Recipe:
         return dataclasses.replace(self, chain=_edited(chain), prior={}, _before=kept)
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
-        """One draw of the parameters."""
+        """One draw of the parameters. Raises TypeError where the key is none."""
+        check_key(f"recipe {self.name!r}", key)
         return draw(key, self.prior, self.chain.init())
 
     def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:

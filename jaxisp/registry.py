@@ -152,7 +152,10 @@ def signature(fn: StageFunction) -> Signature:
     try:
         domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
     except (KeyError, AttributeError):
-        raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
+        raise TypeError(
+            f"{fn.__name__}: annotate image and return with a domain of jaxisp.domains, as "
+            "(image: LinearRGB) -> LinearRGB"
+        ) from None
     limits = {name: hints[name] for name in static if name in hints}
     return Signature(
         hints.get("params"), "key" in arguments, tuple(static.items()), limits, domain_in, domain_out

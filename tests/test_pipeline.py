@@ -233,7 +233,7 @@ def test_errors_at_build_name_the_fault():
         stage(unsharp_mask, radios=3)
     with pytest.raises(KeyError, match="no stage named 'sharpen'"):
         stage("sharpen")
-    with pytest.raises(ValueError, match="gain is not"):
+    with pytest.raises(ValueError, match="several are named gain"):
         Chain((stage(gain), stage(gain)))
     with pytest.raises(ValueError, match=r"'unsharp_mask' takes any three channels, but .* gives mosaic"):
         Chain((stage(gray), stage(unsharp_mask)))

@@ -543,3 +543,19 @@ def test_a_picture_to_explore_is_no_array_of_levels():
         picture_after(stage("clip"), 255 * IMAGES[0])
     given = np.uint8(255 * IMAGES[0])
     assert np.allclose(picture_after(stage("srgb_eotf"), given), given / 255, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "value", ['"0.1"', '["0.1"]', "1979-05-27", '{uniform = ["0", 0.1]}', "{uniform = [[0], 1]}"]
+)
+def test_a_text_is_no_number_of_a_file(value):
+    text = 'stages = [{stage = "srgb_eotf"}, {stage = "gaussian_noise"}]\n[params.gaussian_noise]\nstd = '
+    with pytest.raises(
+        InputError, match=r"^mine.toml: gaussian_noise\.std = .*: give a number, an array, or one of"
+    ):
+        Recipe.from_toml(text + value, "mine.toml")
+
+
+def test_a_recipe_draws_with_a_key():
+    with pytest.raises(TypeError, match=r"recipe 'awgn' takes a JAX key, as jax.random.key\(0\), got 0"):
+        RECIPES["awgn"]().draw(0)
