@@ -14,6 +14,7 @@ import jax
 import numpy as np
 import tomli_w
 
+from jaxisp.checks import check_whole, several
 from jaxisp.errors import InputError
 from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
 from jaxisp.io.files import (
@@ -110,9 +111,14 @@ class Work:
     _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
+        check_whole("count", self.count, 1)
+        check_whole("start", self.start, 0)
+        check_whole("seed", self.seed, 0)
+        if self.seed >= 1 << 32:
+            raise InputError(f"seed = {self.seed}: seeds go from 0 to {(1 << 32) - 1}")
         check_runs(self.degradation)
         object.__setattr__(self, "paths", find_images(self.inputs))
-        if not 0 <= self.start <= (1 << 31) - 1 - len(self):
+        if self.start > (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
 
     def __len__(self) -> int:
@@ -289,7 +295,7 @@ def degrade_files(
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
     about = tomli_w.dumps({"camera": f"{_CAMERA}{work.degradation.name}", "clean_encoding": "srgb"})
-    if os.path.realpath(out) in real_paths(inputs):
+    if os.path.realpath(out) in real_paths(several(inputs)):
         raise InputError(f"{out}: is an input too, so that results would be inputs next time; choose another")
     _check_same_run(out, work, about)
     with filled_folder(out, keep=False), locked(out):

@@ -169,3 +169,56 @@ def test_a_read_only_folder_is_one_line(photos, tmp_path):
             degrade_files([photos], out, RECIPES["awgn"]())
         with pytest.raises(InputError, match="cannot be written"):
             write_png(out / "a.png", np.zeros((2, 2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seed": "1"}, "seed must be a whole number from 0 on, got '1'"),
+        ({"seed": -1}, "seed must be a whole number from 0 on"),
+        ({"seed": 2**32}, "seeds go from 0 to 4294967295"),
+        ({"count": 0}, "count must be a whole number from 1 on, got 0"),
+        ({"count": 1.5}, "count must be a whole number from 1 on"),
+        ({"start": -1}, "start must be a whole number from 0 on"),
+        ({"start": 2**31 - 2}, "sample indices go from 0 to 2147483646"),
+    ],
+    ids=str,
+)
+def test_settings_that_no_run_has(photos, tmp_path, settings, message):
+    with pytest.raises(InputError, match=message):
+        degrade_files(photos, tmp_path / "out", "awgn", **settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_may_be_given_alone_and_is_no_output(photos):
+    with pytest.raises(InputError, match="is an input too"):
+        degrade_files(str(photos), photos, "awgn")
+
+
+def test_shards_that_are_not(photos, tmp_path):
+    pytest.importorskip("array_record")
+    from jaxisp.data import degrade_shards
+
+    for shards, only, message in (
+        (0, None, "shards must be a whole number from 1 on"),
+        ("2", None, "shards must be"),
+        (2, [0, 5], r"only = \[5\]: shards are counted from 0 to 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            degrade_shards(Work([photos], "awgn"), tmp_path / "out", shards, only=only)
+    assert not (tmp_path / "out").exists()
+
+
+def test_shards_of_an_edited_recipe_are_told_apart(photos, tmp_path):
+    pytest.importorskip("array_record")
+    from jaxisp.data import degrade_shards
+
+    awgn = RECIPES["awgn"]()
+    degrade_shards(Work([photos], awgn), tmp_path, 2, only=[])
+    edited = awgn.override(gaussian_noise={"std": 0.01})
+    for other, what in (
+        (edited, "recipe = 'awgn', not 'awgn-edited'"),
+        (edited.named("awgn"), "another recipe named 'awgn'"),
+    ):
+        with pytest.raises(InputError, match=f"holds shards of {what}; choose another folder"):
+            degrade_shards(Work([photos], other), tmp_path, 2, only=[])
