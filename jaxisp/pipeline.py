@@ -58,9 +58,13 @@ class Row(Node):
         require_name(self.name, f"{kind}, its second argument,")
         _check_pattern(self.stages())
 
+    @functools.cached_property
+    def _domains(self) -> tuple[Domain, Domain]:
+        return _flow(self.nodes)
+
     @property
     def domain_in(self) -> Domain:
-        return _flow(self.nodes)[0]
+        return self._domains[0]
 
     @property
     def reach(self) -> int | None:
@@ -98,7 +102,7 @@ class Chain(Row):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _flow(self.nodes)
+        _flow(self.nodes)  # raises where they do not meet
         names = list(self.names())
         if twice := sorted({n for n in names if names.count(n) > 1}):
             fn = next((s.fn.__name__ for s in self.stages() if s.name == twice[0]), twice[0])
@@ -109,7 +113,7 @@ class Chain(Row):
 
     @property
     def domain_out(self) -> Domain:
-        return _flow(self.nodes)[1]
+        return self._domains[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         for group in _groups(self.nodes):
