@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.cfa import is_xtrans, size
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, short
 from jaxisp.io import Raw, orient
 from jaxisp.node import Around
 from jaxisp.pipeline import Chain, Node, Row, Stage, run_in_strips, signature, stage
@@ -22,6 +22,12 @@ from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.optics import Exposure
 from jaxisp.stages.sensor import Clip
+
+__all__ = [
+    "develop", "exposure_for_highlights", "high_percentile", "params_for", "shaded_mosaic", "standard_camera",
+    "with_cfa",
+]  # fmt: skip
+__dir__ = __all__.copy  # what an editor completes
 
 WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"
@@ -130,6 +136,8 @@ def develop(raw: Raw, camera: RecipeLike | None = None, key: jax.Array | None = 
         InputError: the camera does not turn a mosaic into encoded sRGB, draws some of its parameters, or does
             not work on this pattern.
     """
+    if not hasattr(raw, "cfa"):
+        raise TypeError(f"develop takes what jaxisp.io.read_raw(PATH) reads, got {short(raw)}")
     xtrans = is_xtrans(raw.cfa)
     if camera is None:
         camera = standard_camera("demosaic_markesteijn" if xtrans else "demosaic_ahd")

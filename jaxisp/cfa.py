@@ -108,10 +108,11 @@ _BAYER = f"one of {', '.join(PATTERNS)}"
 _FOR_XTRANS = "demosaic_markesteijn and demosaic_normalized_convolution demosaick X-Trans"
 
 Pattern = Annotated[
-    str, Limit(f"{_BAYER}, or X-Trans ({_LETTERS})", lambda cfa: cfa in PATTERNS or is_xtrans(cfa))
+    str,
+    Limit(f"{_BAYER}, or X-Trans ({_LETTERS})", lambda cfa: cfa in PATTERNS or is_xtrans(cfa), PATTERNS),
 ]
 """A pattern as a static option."""
-Bayer = Annotated[str, Limit(f"{_BAYER} ({_FOR_XTRANS})", lambda cfa: cfa in PATTERNS)]
+Bayer = Annotated[str, Limit(f"{_BAYER} ({_FOR_XTRANS})", lambda cfa: cfa in PATTERNS, PATTERNS)]
 """A static option that takes Bayer patterns alone."""
 XTrans = Annotated[str, Limit(f"X-Trans ({_LETTERS}; demosaic_ahd and others demosaick Bayer)", is_xtrans)]
 """A static option that takes X-Trans alone."""

@@ -5,10 +5,11 @@ stands outside of the gate, and a gate around nothing is left out.
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
-from jaxisp.errors import InputError, meant
+from jaxisp.errors import InputError, meant, short
 from jaxisp.node import Node, Stage, stage
 
 Edit = Callable[[Node], tuple[Node, ...] | None]
@@ -16,11 +17,20 @@ Edit = Callable[[Node], tuple[Node, ...] | None]
 C = TypeVar("C", bound=Node)
 
 
+def by_stage(who: str, stages: Any, named: Mapping[str, Any]) -> dict[str, Any]:
+    """What `override` was given, as one dict and by name."""
+    if stages is not None and not isinstance(stages, Mapping):
+        raise InputError(f"{who!r}: override takes dicts by stage, as median={{...}}, got {short(stages)}")
+    if twice := sorted(set(stages or {}) & set(named)):
+        raise InputError(f"{who!r}: override was given {twice[0]} twice")
+    return {str(name): values for name, values in (stages or {}).items()} | dict(named)
+
+
 def insert(chain: C, nodes: tuple[Node, ...], before: str | None, after: str | None) -> C:
     """The chain with nodes beside the one of a name."""
     if (before is None) == (after is None) or not nodes:
         raise InputError(
-            f"{chain.name!r}: insert takes stages and either before= or after=, the name of a stage"
+            f"{chain.name!r}: insert takes stages and one of before= and after=, the name of a stage"
         )
     name = before if before is not None else after
     assert name is not None
@@ -78,15 +88,20 @@ def _new(node: Any, edit: Edit) -> tuple[Node, ...]:
     inner = getattr(node, "nodes", None)
     if inner is not None:
         own = _each(inner, edit)
-        return (node if own == inner else dataclasses.replace(node, nodes=own),) if own else ()
+        return (node if same(own, inner) else dataclasses.replace(node, nodes=own),) if own else ()
     held = getattr(node, "node", None)
     if held is None:
         return (node,)
     own = _new(held, edit)
-    if own == (held,):
+    if same(own, (held,)):
         return (node,)
     name = "" if node.name == f"use_{held.name}" else node.name
     return tuple(dataclasses.replace(node, node=n, name=name) for n in own)
+
+
+def same(nodes: tuple[Node, ...], others: tuple[Node, ...]) -> bool:
+    """Whether these are the very nodes; equal chains may have other names."""
+    return len(nodes) == len(others) and all(map(operator.is_, nodes, others))
 
 
 def _gated(node: Any) -> str | None:
@@ -103,6 +118,6 @@ def _all(node: Any) -> Iterator[str]:
 def _require(chain: Any, name: str) -> None:
     known = [found for node in chain.nodes for found in _all(node)]
     if name not in known:
-        raise InputError(
-            f"{chain.name!r} has no stage {name!r}{meant(str(name), known) or f'; it has {known}'}"
-        )
+        own = getattr(name, "name", None)  # of a stage that was given itself
+        hint = f"; give its name, {own!r}" if own in known else meant(str(name), known)
+        raise InputError(f"{chain.name!r} has no stage {short(name)}{hint or f'; it has {known}'}")

@@ -6,6 +6,8 @@ from typing import Any
 
 _LONGEST = 10_000
 """Characters of a message, which may hold two paths, of 4096 at the most, or what stands in a file."""
+_BEGINNING = 4
+"""The fewest letters that say what is meant."""
 
 
 class InputError(ValueError):
@@ -28,10 +30,32 @@ class InputError(ValueError):
         super().__init__(text)
 
 
+class UnknownStage(InputError, KeyError):
+    """There is no stage of that name; a KeyError too, as the registry is a dict."""
+
+    __str__ = Exception.__str__  # a KeyError shows its text in quotes
+
+
 def meant(name: str, known: Iterable[str]) -> str:
-    """What an unknown name may stand for, to end an error with; "" where nothing is like it."""
-    close = difflib.get_close_matches(name, list(known), 3)
-    return f"; is it {' or '.join(close)}?" if close else ""
+    """What an unknown name may stand for, to end an error with; "" where nothing is like it.
+
+    Capitals, and `_` for `-`, make no difference; a name may be the beginning of another.
+    """
+    same = {_plain(own): own for own in known}
+    given = _plain(name)
+    close = difflib.get_close_matches(given, same, 3) if given not in same else [given]
+    if not close and len(given) >= _BEGINNING:
+        close = [own for own in same if own.startswith(given[: _beginning(given)])][:3]
+    return f"; is it {' or '.join(same[own] for own in close)}?" if close else ""
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "_")
+
+
+def _beginning(name: str) -> int:
+    """Letters that another name has to begin with likewise."""
+    return max(_BEGINNING, -(-3 * len(name) // 4))
 
 
 def printable(text: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from jaxisp.cfa import masks
+from jaxisp.checks import check_scale
 from jaxisp.domains import (
     ANY,
     ANY_RGB,
@@ -42,6 +43,7 @@ from jaxisp.stages.spaces import (
 from jaxisp.stages.transfer import prophoto_eotf, prophoto_oetf, srgb_eotf, srgb_oetf
 
 __all__ = ["Explorer", "Pictures", "explore_stages", "for_screen", "in_domain", "picture_after"]
+__dir__ = __all__.copy  # what an editor completes
 
 MOST = 18
 """Parameters with more numbers than this get no sliders."""
@@ -88,6 +90,9 @@ def in_domain(picture: Any, domain: Domain, cfa: str = "RGGB") -> jax.Array:
         cfa: of a mosaic.
     """
     encoded = _shares(jnp.asarray(picture))
+    check_scale(
+        "the explorer", ENCODED, encoded if isinstance(encoded, jax.core.Tracer) else np.asarray(encoded)
+    )
     light = srgb_eotf(encoded)
     if domain == MOSAIC:
         return mosaic(light, cfa=cfa)

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 import tomli_w
 
+from jaxisp.checks import check_whole, several
 from jaxisp.errors import InputError
 from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
 from jaxisp.io.files import (
@@ -21,8 +22,10 @@ from jaxisp.io.files import (
     check_new,
     check_output,
     file_state,
+    filled_folder,
     find_images,
     parse_toml,
+    read_text,
     real_paths,
     write_new,
     write_text,
@@ -108,9 +111,14 @@ class Work:
     _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
+        check_whole("count", self.count, 1)
+        check_whole("start", self.start, 0)
+        check_whole("seed", self.seed, 0)
+        if self.seed >= 1 << 32:
+            raise InputError(f"seed = {self.seed}: seeds go from 0 to {(1 << 32) - 1}")
         check_runs(self.degradation)
         object.__setattr__(self, "paths", find_images(self.inputs))
-        if not 0 <= self.start <= (1 << 31) - 1 - len(self):
+        if self.start > (1 << 31) - 1 - len(self):
             raise InputError(f"start = {self.start}: sample indices go from 0 to {(1 << 31) - 2}")
 
     def __len__(self) -> int:
@@ -263,6 +271,9 @@ def degrade_files(
     The TOML file is a recipe that holds the drawn parameters; with the seed and the index in it,
     `jaxisp degrade IMAGE --recipe STEM_000.toml --seed S --start I` makes the same image again.
 
+    A folder holds one data set. A later run adds to it or writes it again with the same recipe and seed, and
+    not fewer versions; another is refused, and nothing changes.
+
     Args:
         inputs: images and folders of images.
         out: the folder, made where it is missing.
@@ -278,14 +289,17 @@ def degrade_files(
         What was done; inputs that cannot be read are listed in `failed` and the rest goes on.
 
     Raises:
-        InputError: no input, a recipe for other domains, the folder cannot be written, or has a dataset.toml
-            that no run wrote, or another process writes into it.
+        InputError: no input, a recipe for other domains, the folder is an input, cannot be written, holds
+            samples of another run or a dataset.toml that no run wrote, or another process writes into it.
     """
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
     about = tomli_w.dumps({"camera": f"{_CAMERA}{work.degradation.name}", "clean_encoding": "srgb"})
-    check_new(out / "dataset.toml", about, _is_ours)
-    with locked(out):
+    if os.path.realpath(out) in real_paths(several(inputs)):
+        raise InputError(f"{out}: is an input too, so that results would be inputs next time; choose another")
+    _check_same_run(out, work, about)
+    with filled_folder(out, keep=False), locked(out):
+        _check_same_run(out, work, about)  # of what another process wrote before it was locked
 
         def done(sample: Sample) -> bool:
             return resume and is_written(out, sample, work.note(sample))
@@ -301,7 +315,7 @@ def degrade_files(
             outcome.images += 1
             tick(outcome.images + outcome.kept, len(work))
         if outcome.images or outcome.kept:
-            write_new(out / "dataset.toml", about, _is_ours)
+            write_new(out / "dataset.toml", about)
     outcome.seconds = time.perf_counter() - clock
     return outcome
 
@@ -310,13 +324,61 @@ _CAMERA = "jaxisp "
 _ENDS = (".clean.png", ".noisy.png", ".toml")
 
 
-def _is_ours(text: str) -> bool:
-    """Whether a dataset.toml says what this module writes, of any recipe."""
+def _check_same_run(out: Path, work: Work, about: str) -> None:
+    """Raise InputError where a folder holds samples of a run with other settings: none could be told from
+    those of this one by who reads the folder."""
+    here = f"this run is of {work.degradation.name!r}, seed {work.seed}"
+    do = "choose another folder, or empty this one"
+    dataset = out / "dataset.toml"
+    if os.path.lexists(dataset) and (name := _recipe_of(read_text(dataset))) not in (
+        None,
+        work.degradation.name,
+    ):
+        raise InputError(f"{out}: holds a data set of the recipe {name!r}, and {here}; {do}")
+    check_new(dataset, about)
+    if not out.is_dir():
+        return
+    if before := _some_sample(out):
+        own = (before["recipe"], before["recipe_sha256"], before["seed"])
+        if own != (work.degradation.name, work.digest, work.seed):
+            other = "other numbers of " if own[0] == work.degradation.name and own[1] != work.digest else ""
+            raise InputError(
+                f"{out}: holds samples of {other}the recipe {own[0]!r}, seed {own[2]}, and {here}; {do}"
+            )
+    for path in work.paths:
+        if os.path.lexists(out / f"{path.stem}_{work.count:03d}.toml"):
+            raise InputError(f"{out}: holds more than {work.count} versions of {path.stem}; {do}")
+
+
+def _recipe_of(dataset: str) -> str | None:
+    """The recipe that a dataset.toml of this module names; None where it is another's."""
     try:
-        table = parse_toml(text, "dataset.toml")
+        table = parse_toml(dataset, "dataset.toml")
     except InputError:
-        return False
-    return table.keys() == {"camera", "clean_encoding"} and str(table["camera"]).startswith(_CAMERA)
+        return None
+    camera = str(table.get("camera"))
+    ours = table.keys() == {"camera", "clean_encoding"} and camera.startswith(_CAMERA)
+    return camera.removeprefix(_CAMERA) if ours else None
+
+
+def _some_sample(out: Path) -> dict[str, Any] | None:
+    """What a sample in a folder says of its run; all of them are of one."""
+    with os.scandir(out) as entries:
+        for entry in entries:
+            if entry.name.endswith(".toml") and (meta := _meta(Path(entry.path))):
+                sample = meta.get("sample")
+                if isinstance(sample, dict) and sample.keys() >= {"recipe", "recipe_sha256", "seed"}:
+                    return sample
+    return None
+
+
+def _meta(path: Path) -> dict[str, Any]:
+    """What a sample's TOML file says of it; {} where it is none, or damaged."""
+    try:
+        meta = parse_toml(read_sealed(path), str(path)).get("meta", {})
+    except InputError:
+        return {}
+    return meta if isinstance(meta, dict) else {}
 
 
 def _write(out: Path, degraded: Degraded) -> None:
@@ -332,12 +394,8 @@ def _write(out: Path, degraded: Degraded) -> None:
 
 def is_written(out: Path, sample: Sample, note: dict[str, Any]) -> bool:
     """Whether a sample's three files are, to the bit, what was written for the same arguments."""
-    path = out / f"{sample.stem}.toml"
-    try:
-        meta = parse_toml(read_sealed(path), str(path)).get("meta", {})
-    except InputError:
-        return False
-    digests = meta.get("sha256") if isinstance(meta, dict) else None
+    meta = _meta(out / f"{sample.stem}.toml")
+    digests = meta.get("sha256")
     if not isinstance(digests, dict) or set(digests) != {"clean", "noisy"} or meta.get("sample") != note:
         return False
     return all(is_file_of(out / f"{sample.stem}.{kind}.png", digest) for kind, digest in digests.items())

@@ -3,6 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+__all__ = ["border_mask", "charbonnier", "clip_mask", "log_rms"]
+__dir__ = __all__.copy  # what an editor completes
+
 
 def charbonnier(x: jax.Array, epsilon: float | jax.Array = 1e-3) -> jax.Array:
     """`sqrt(x**2 + epsilon**2) - epsilon`: quadratic near 0, `abs(x)` beyond `epsilon`, a positive number.

@@ -12,6 +12,9 @@ import numpy as np
 from jaxisp.arrays.safe_math import safe_divide, safe_sqrt
 from jaxisp.arrays.stencils import filter_rows_columns
 
+__all__ = ["match_moments", "psnr", "ssim", "ssim_map"]
+__dir__ = __all__.copy  # what an editor completes
+
 Window = Literal["gaussian", "uniform"]
 
 _SMALLEST_MSE = 1e-12

@@ -6,6 +6,7 @@ recipes of its images cost, and at most the padding of a group a recipe. All rec
 
 import dataclasses
 import functools
+import itertools
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,7 @@ from jax.typing import ArrayLike
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
 from jaxisp.arrays.varying import alike, spread_over
+from jaxisp.checks import LAST_INDEX, check_count
 from jaxisp.errors import InputError, short
 from jaxisp.io.files import parse_toml, write_text
 from jaxisp.params import strong
@@ -28,9 +30,9 @@ from jaxisp.pipeline import Chain, over_batch, spread
 from jaxisp.priors import draw
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.recipe import (
-    LAST_INDEX,
     Degraded,
     Recipe,
+    check_drawn,
     check_photographs,
     check_traces,
     sample_halves,
@@ -47,30 +49,44 @@ Branches = tuple[tuple[str, Chain], ...]
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Mixture:
-    """Recipes by name, and the share of the images that each is for. Make it with `jaxisp.recipes.mix`."""
+    """Recipes by name, and the share of the images that each is for. Make it with `jaxisp.recipes.mix`.
+
+    A pytree of the shares and of the numbers of its recipes, as a recipe is of its own. Of traced shares
+    nothing is known; their ratios count.
+    """
 
     recipes: dict[str, Recipe]
-    shares: tuple[float, ...]
+    shares: tuple[Any, ...]
 
     def __post_init__(self) -> None:
         for name, recipe in self.recipes.items():
             if name == WHICH:
                 raise InputError(
-                    f"a recipe in a mixture may not be named {WHICH!r}: name its chain otherwise"
+                    f"a recipe in a mixture may not be named {WHICH!r}: give recipe.named('other')"
                 )
             check_photographs(recipe)
+        if any(isinstance(share, jax.core.Tracer) for share in self.shares):
+            _check_each(self.shares, self.recipes)
+            return
         try:
-            given = np.asarray([float(share) for share in self.shares])
+            given = np.asarray([_number(share) for share in self.shares])
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"shares of a mixture must be numbers, got {short(self.shares)}") from None
+            raise InputError(
+                f"shares of a mixture must be numbers, as {{'phone': 0.8, 'clean': 0.2}}, got {self._told}"
+            ) from None
         object.__setattr__(self, "shares", tuple(given.tolist()))
-        if given.shape != (len(self.recipes),) or not len(given):
-            raise InputError(f"a mixture takes a share for each of its recipes, got {short(self.shares)}")
-        if not (np.isfinite(given).all() and (given >= 0).all() and abs(given.sum() - 1) < 1e-6):
-            raise InputError(f"shares of a mixture must be 0 or more and sum to 1, got {short(self.shares)}")
+        _check_each(self.shares, self.recipes)
+        if not (np.isfinite(given).all() and (given >= 0).all()):
+            raise InputError(f"shares of a mixture must be 0 or more and sum to 1, got {self._told}")
+        if abs(given.sum() - 1) >= 1e-6:
+            raise InputError(f"shares of a mixture must sum to 1, got {self._told}, {given.sum():.6g} in all")
+
+    @property
+    def _told(self) -> str:
+        return short(dict(zip(self.recipes, self.shares)))
 
     def __repr__(self) -> str:
-        return f"mix({dict(zip(self.recipes, self.shares))})"
+        return f"mix({dict(zip(self.recipes, map(_plain, self.shares)))})"
 
     def _repr_html_(self) -> str:
         return shown.mixture_html(self)
@@ -83,13 +99,13 @@ class Mixture:
     @property
     def description(self) -> str:
         """What it mixes, with the shares."""
-        shares = (f"{100 * share:.3g} % {name}" for name, share in zip(self.recipes, self.shares))
+        shares = (f"{100 * float(share):.3g} % {name}" for name, share in zip(self.recipes, self.shares))
         return f"a mixture: {', '.join(shares)}"
 
     def to_toml(self) -> str:
         """The mixture as TOML, with its recipes in it; `from_toml` reads it back equal."""
         tables = [tomllib.loads(recipe.to_toml()) for recipe in self.recipes.values()]
-        parts = [{"share": share, "recipe": table} for share, table in zip(self.shares, tables)]
+        parts = [{"share": s, "recipe": table} for s, table in zip(map(_plain, self.shares), tables)]
         return tomli_w.dumps({"mixture": parts})
 
     @classmethod
@@ -111,10 +127,14 @@ class Mixture:
             raise InputError(f"{source}: {error}") from None
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Mixture) and (self.shares, self.recipes) == (other.shares, other.recipes)
+        return isinstance(other, Mixture) and self._parts == other._parts
 
     def __hash__(self) -> int:
-        return hash((self.shares, tuple(self.recipes.values())))
+        return hash(self._parts)
+
+    @property
+    def _parts(self) -> tuple[Any, ...]:
+        return tuple(self.recipes), tuple(map(_plain, self.shares)), tuple(self.recipes.values())
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
@@ -146,9 +166,8 @@ class Mixture:
         """
         check_backend()
         prior = {name: strong(recipe.prior) for name, recipe in self.recipes.items()}
-        ends = np.cumsum(self.shares) / np.sum(self.shares)
         given = taken("a mixture", key, images, start)
-        return _degrade(self._branches, ends.astype(np.float32), prior, *given)
+        return _degrade(self._branches, _ends(self.shares), prior, *given)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
@@ -156,15 +175,63 @@ class Mixture:
         Takes and raises what `degrade` does, and InputError where a parameter of an image's recipe is NaN or
         out of its bounds (of traced ones nothing is known).
         """
+        told = "a mixture repeats with the parameters that its degrade returned"
         if not isinstance(params, dict) or set(params) != {WHICH, *self.recipes}:
-            raise InputError(f"a mixture repeats what its degrade drew, got {short(params)}")
+            raise InputError(f"{told}, with {', '.join([WHICH, *self.recipes])}; got {short(params)}")
         key, images, start = taken("a mixture", key, images, start)
+        if np.shape(params[WHICH]) != (len(images),):
+            got = f"{np.shape(params[WHICH])} for {len(images)} images"
+            raise InputError(f"{told}: {WHICH!r} has the shape {got}")
+        for name, chain in self._branches:
+            check_drawn(f"a mixture, of {name!r},", chain, params[name])
+            check_count(params[name], len(images))
         if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(params)):
             for i, (name, chain) in enumerate(self._branches):
                 own = np.asarray(params[WHICH]) == i  # NaN elsewhere
                 chain.check(jax.tree.map(lambda v, own=own: np.asarray(v)[own], params[name]))
         return _repeat(self._branches, key, params, images, start)
 
+
+def _number(share: Any) -> float:
+    """A share that is a number, and no text or switch."""
+    if isinstance(share, str | bytes | bool | np.bool_):
+        raise TypeError
+    return float(_plain(share))
+
+
+def _plain(share: Any) -> Any:
+    """A float32 by its shortest decimal, which reads back the same; others as they are."""
+    if isinstance(share, jax.Array) and not isinstance(share, jax.core.Tracer):
+        share = np.asarray(share)[()]
+    return float(str(share)) if isinstance(share, np.floating) else share
+
+
+def _check_each(shares: tuple[Any, ...], recipes: dict[str, Recipe]) -> None:
+    if len(shares) != len(recipes) or not shares:
+        raise InputError(f"a mixture takes a share for each of its recipes, got {short(shares)}")
+
+
+def _ends(shares: tuple[Any, ...]) -> Any:
+    """Where on [0, 1] the part of each recipe ends: the same bits whether or not shares are traced."""
+    numbers = jnp if any(isinstance(share, jax.core.Tracer) for share in shares) else np
+    sums = list(itertools.accumulate(numbers.float32(share) for share in shares))
+    return numbers.stack([end / sums[-1] for end in sums])
+
+
+def _flatten(mixture: Mixture) -> tuple[tuple[Any, ...], Any]:
+    shares = tuple(np.float32(s) if isinstance(s, float | np.generic) else s for s in mixture.shares)
+    return (shares, tuple(mixture.recipes.values())), tuple(mixture.recipes)
+
+
+def _unflatten(names: tuple[str, ...], children: Any) -> Mixture:
+    mixture = object.__new__(Mixture)
+    # unchecked: JAX puts anything where the numbers were
+    object.__setattr__(mixture, "shares", children[0])
+    object.__setattr__(mixture, "recipes", dict(zip(names, children[1])))
+    return mixture
+
+
+jax.tree_util.register_pytree_node(Mixture, _flatten, _unflatten)
 
 Degradation = Recipe | Mixture
 """What degrades pictures."""

@@ -14,11 +14,12 @@ from jax import lax
 from jaxisp import shown
 from jaxisp.arrays.dtypes import given_and_exact, in_dtype
 from jaxisp.arrays.varying import alike
-from jaxisp.checks import check_known
+from jaxisp.checks import check_key, check_known
 from jaxisp.domains import Domain
+from jaxisp.errors import meant, short
 from jaxisp.options import check_option
 from jaxisp.params import specs
-from jaxisp.registry import CELL, Signature, find_stage, locality, signature
+from jaxisp.registry import CELL, Signature, find_stage, is_stage, locality, signature
 
 Params = dict[str, Any]
 
@@ -102,6 +103,8 @@ class Node:
         """
         if self.stochastic and key is None:
             raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
+        if key is not None:
+            check_key(self.name, key)
         self.check(params)
         # a stage's branches and loops need them alike
         return self.apply(*alike((params, image, key)))
@@ -111,13 +114,23 @@ def require_node(node: Any, what: str) -> None:
     """Raise TypeError, in words, where something else is given in the place of a stage or a pipeline."""
     if isinstance(node, Node):
         return
-    if isinstance(node, str):
+    if isinstance(node, str) and is_stage(node):
         advice = f"{node!r}: stage({node!r})?"
+    elif isinstance(node, str):
+        advice = f"{node!r}: stage(NAME) is one, and jaxisp.recipes.find_recipe(NAME).chain"
     elif isinstance(getattr(node, "chain", None), Node):  # a recipe, which is above this module
         advice = f"a {type(node).__name__}: give its .chain"
+    elif isinstance(node, list | tuple) and node and all(isinstance(n, Node) for n in node):
+        advice = f"a {type(node).__name__} of {len(node)}: Chain((...)) makes one of several"
     else:
-        advice = f"{node!r}, as stage(...) makes"
+        advice = f"{short(node)}, expected what stage(...) makes"
     raise TypeError(f"{what} takes stages and pipelines, got {advice}")
+
+
+def require_name(name: Any, what: str) -> None:
+    """Raise TypeError, in words, where something else is given in the place of a name."""
+    if not isinstance(name, str):
+        raise TypeError(f"the name of a {what} is text, got {short(name)}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,6 +174,7 @@ class Stage(Node):
 
     def __post_init__(self) -> None:
         declared = signature(self.fn)
+        require_name(self.name, "stage")
         for option, value in self.static:
             if option not in dict(declared.static):
                 raise TypeError(f"{self.fn.__name__} has no option {option!r}" + _has(declared, option))
@@ -236,8 +250,9 @@ def stage(fn: Callable[..., jax.Array] | str, *, name: str | None = None, **stat
         **static: its static options; lists and arrays become nested tuples.
 
     Raises:
-        KeyError: no stage of that name. TypeError: no function, no such option. InputError: an option of
-            another type, or not within its limits.
+        InputError: no stage of that name (a KeyError too); an option of another type, or not within its
+            limits.
+        TypeError: no function, no such option.
 
     Example:
         >>> import jaxisp
@@ -262,7 +277,8 @@ def _has(declared: Signature, option: str) -> str:
     """What a stage has in place of an unknown option."""
     if declared.params is not None and option in specs(declared.params):
         return f": it is a parameter, {declared.params.__name__}({option}=...), which is passed when it runs"
-    return f"; it has {sorted(dict(declared.static)) or 'none'}"
+    known = sorted(dict(declared.static))
+    return meant(option, known) or f"; it has {known or 'none'}"
 
 
 def _frozen(value: Any) -> Hashable:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from jaxisp.errors import InputError, short
+from jaxisp.errors import InputError, meant, short
 
 _KINDS: dict[Any, tuple[type, ...]] = {
     bool: (bool,), int: (int,), float: (float, int), str: (str,), type(None): (type(None),),
@@ -16,15 +16,16 @@ _KINDS: dict[Any, tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class Limit:
-    """A condition on an option's value, in words and as a test."""
+    """A condition on an option's value, in words and as a test; names of which it must be one."""
 
     text: str
     holds: Callable[[Any], bool]
+    names: tuple[str, ...] = ()
 
 
 def one_of(*values: str) -> Limit:
     """One of some words."""
-    return Limit(f"one of {', '.join(map(repr, values))}", lambda value: value in values)
+    return Limit(f"one of {', '.join(map(repr, values))}", lambda value: value in values, values)
 
 
 def at_least(least: float) -> Limit:
@@ -67,4 +68,5 @@ def check_option(name: str, hint: Any, value: Any) -> None:
             raise InputError(f"{name} must be finite, got {short(value)}")
     for limit in limits:
         if isinstance(limit, Limit) and not limit.holds(value):
-            raise InputError(f"{name} must be {limit.text}, got {short(value)}")
+            hint = meant(value, limit.names) if isinstance(value, str) else ""
+            raise InputError(f"{name} must be {limit.text}, got {short(value)}{hint}")

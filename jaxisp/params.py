@@ -13,6 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+__all__ = [
+    "Spec", "batch_axes", "map_specs", "param", "parameters", "spec_tree", "specs", "strong", "to_bounded",
+    "to_unbounded",
+]  # fmt: skip
+__dir__ = __all__.copy  # what an editor completes
+
 T = TypeVar("T")
 Tree = Any
 Leaf = Any

@@ -6,8 +6,8 @@ nesting. All nodes are hashable values: equal pipelines compare equal and share 
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -22,9 +22,10 @@ from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
-from jaxisp.checks import check_count
+from jaxisp.checks import check_count, check_key, check_scale, check_start
 from jaxisp.domains import ANY, Domain, accepts
-from jaxisp.node import Around, Node, Params, Stage, entry, require_node, stage
+from jaxisp.errors import InputError, short
+from jaxisp.node import Around, Node, Params, Stage, entry, require_name, require_node, stage
 from jaxisp.params import Leaf, batch_axes, param, parameters
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, sections, signature
@@ -44,14 +45,26 @@ class Row(Node):
     name: str
 
     def __post_init__(self) -> None:
+        kind = type(self).__name__
+        if isinstance(self.nodes, Node | str) or not isinstance(self.nodes, Iterable):
+            what = "several go in one tuple, and the name comes last" if isinstance(self.nodes, Node) else ""
+            raise TypeError(
+                f"{kind} takes a tuple of stages, then its name, as {kind}((stage('clip'),), 'mine'), got "
+                f"{short(self.nodes)}{f': {what}' * bool(what)}"
+            )
         object.__setattr__(self, "nodes", tuple(self.nodes))
         for node in self.nodes:
-            require_node(node, type(self).__name__)
+            require_node(node, kind)
+        require_name(self.name, f"{kind}, its second argument,")
         _check_pattern(self.stages())
+
+    @functools.cached_property
+    def _domains(self) -> tuple[Domain, Domain]:
+        return _flow(self.nodes)
 
     @property
     def domain_in(self) -> Domain:
-        return _flow(self.nodes)[0]
+        return self._domains[0]
 
     @property
     def reach(self) -> int | None:
@@ -85,19 +98,22 @@ class Chain(Row):
         ['optical_blur']
     """
 
-    name: str = "chain"
+    name: str = field(default="chain", compare=False)  # chains of other names share one compile
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _flow(self.nodes)
+        _flow(self.nodes)  # raises where they do not meet
         names = list(self.names())
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"names must be unique, {', '.join(twice)} is not: use stage(fn, name=...)")
+        if twice := sorted({n for n in names if names.count(n) > 1}):
+            fn = next((s.fn.__name__ for s in self.stages() if s.name == twice[0]), twice[0])
+            raise InputError(
+                f"{self.name!r}: several are named {', '.join(twice)}, by which parameters and noise go; "
+                f"give one another name, as stage({fn!r}, name='{twice[0]}_2')"
+            )
 
     @property
     def domain_out(self) -> Domain:
-        return _flow(self.nodes)[1]
+        return self._domains[1]
 
     def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
         for group in _groups(self.nodes):
@@ -110,31 +126,36 @@ class Chain(Row):
                 image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
         return image
 
-    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Chain":
+    def insert(
+        self, *nodes: Node | Iterable[Node], before: str | None = None, after: str | None = None
+    ) -> "Chain":
         """This chain with nodes before or after the one of a name, at any depth.
 
         Raises:
-            InputError: there is none of that name. ValueError, TypeError: as where a chain is built.
+            InputError: there is none of that name, or the chain could not be built.
+            TypeError: what is inserted is no stage.
         """
-        return edits.insert(self, nodes, before, after)
+        return edits.insert(self, tuple(_each(nodes)), before, after)
 
     def replace(self, name: str, node: Node) -> "Chain":
         """This chain with another node in the place of the one of that name. Raises what `insert` does."""
         return edits.replace(self, name, node)
 
-    def without(self, *names: str) -> "Chain":
+    def without(self, *names: str | Iterable[str]) -> "Chain":
         """This chain less the nodes of those names (a static switch, as for an ablation).
 
         Raises what `insert` does.
         """
-        return edits.without(self, *names)
+        return edits.without(self, *_each(names))
 
-    def override(self, **options: dict[str, Any]) -> "Chain":
+    def override(
+        self, stages: Mapping[str, dict[str, Any]] | None = None, /, **named: dict[str, Any]
+    ) -> "Chain":
         """This chain with other static options: `chain.override(median={"footprint": "cross"})`.
 
         Raises what `insert` does, and what `stage` does.
         """
-        return edits.with_options(self, options)
+        return edits.with_options(self, edits.by_stage(self.name, stages, named))
 
 
 @parameters
@@ -165,6 +186,7 @@ class Gate(Around):
 
     def __post_init__(self) -> None:
         require_node(self.node, "Gate")
+        require_name(self.name, "Gate")
         object.__setattr__(self, "name", self.name or f"use_{self.node.name}")
         _require_keeping(self.node, "Gate")
 
@@ -264,11 +286,11 @@ def _stored(image: jax.Array) -> jax.Array:
 
 
 def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
-    """The domains that nodes in a row take and give. Raises ValueError where two do not meet."""
+    """The domains that nodes in a row take and give. Raises InputError where two do not meet."""
     first = now = ANY
     for node in nodes:
         if not accepts(node.domain_in, now):
-            raise ValueError(
+            raise InputError(
                 f"{node.name!r} takes {node.domain_in.name}, but what comes before it gives {now.name}"
             )
         if now.keeps and node.domain_in != ANY:  # so far anything would do: now this narrows it
@@ -279,15 +301,16 @@ def _flow(nodes: tuple[Node, ...]) -> tuple[Domain, Domain]:
 
 
 def _check_pattern(stages: Iterable[Stage]) -> None:
-    """Raise ValueError where two stages in a row take a mosaic for one of another pattern."""
+    """Raise InputError where two stages in a row take a mosaic for one of another pattern."""
     first: Stage | None = None
     for now in stages:
         if "cfa" in now.options:
             first = first or now
             a, b = first.options["cfa"], now.options["cfa"]
             if a != b:
-                raise ValueError(
-                    f"{first.name!r} has cfa={a!r} and {now.name!r} {b!r}, which takes one colour for another"
+                raise InputError(
+                    f"{first.name!r} has cfa={a!r} and {now.name!r} {b!r}, which takes one colour for "
+                    "another; give both one pattern"
                 )
         if now.domain_out.channels == 3:
             first = None  # what comes next may be another sensor
@@ -295,17 +318,27 @@ def _check_pattern(stages: Iterable[Stage]) -> None:
 
 def _require_keeping(node: Node, what: str) -> None:
     if not accepts(node.domain_in, node.domain_out) or node.domain_in.channels != node.domain_out.channels:
-        raise ValueError(
+        raise InputError(
             f"{what} needs a node that keeps its domain: {node.name!r} turns {node.domain_in.name} "
             f"into {node.domain_out.name}"
         )
+
+
+def _check_call(what: str, node: Node, params: Params, images: ArrayLike, key: jax.Array | None) -> None:
+    """Raise what is wrong with the arguments of `run` and its like, as far as the host knows."""
+    require_node(node, what)
+    if key is not None:
+        check_key(what, key)
+    node.check(params)
+    check_scale(f"{what}: {node.name!r}", node.domain_in, images)
 
 
 def run(node: Node, params: Params, image: ArrayLike, key: jax.Array | None = None) -> jax.Array:
     """`node(params, image, key=key)`, compiled once per pipeline and shape.
 
     Raises:
-        InputError: a parameter is NaN or out of its bounds; of traced ones nothing is known.
+        InputError: a parameter is NaN or out of its bounds, of traced ones nothing is known; or a pipeline
+            that takes encoded pictures gets levels above 16, as those of 8 bits, in an array on the host.
         TypeError: a key is missing, or parameters or image are of another kind.
 
     Example:
@@ -314,8 +347,7 @@ def run(node: Node, params: Params, image: ArrayLike, key: jax.Array | None = No
         >>> jaxisp.run(node, node.init(), np.ones((8, 12, 3), np.float32)).shape
         (8, 12, 3)
     """
-    require_node(node, "run")
-    node.check(params)
+    _check_call("run", node, params, image, key)
     return compiled(node, params, image, key)
 
 
@@ -354,8 +386,7 @@ def run_in_strips(
         >>> bool(np.allclose(strips, jaxisp.run(node, node.init(), frame), atol=1e-6))
         True
     """
-    require_node(node, "run_in_strips")
-    node.check(params)
+    _check_call("run_in_strips", node, params, image, key)
     return compiled_in_strips(node, params, image, key, rows)
 
 
@@ -376,6 +407,12 @@ def compiled_in_strips(
         else:
             image = part.apply(params, materialize(image), key)
     return image
+
+
+def _each(given: Iterable[Any]) -> Iterator[Any]:
+    """Arguments, of which a list or a tuple stands for what is in it."""
+    for one in given:
+        yield from one if isinstance(one, list | tuple) else (one,)
 
 
 def _flat(node: Node) -> Iterator[Node]:
@@ -410,10 +447,16 @@ def run_batch(
         >>> bool((noisy[3] == last[0]).all())
         True
     """
-    require_node(node, "run_batch")
-    node.check(params)
-    check_count({name: params[name] for name in node.init()}, np.shape(images)[0])
-    return compiled_batch(node, params, images, key, start)
+    _check_call("run_batch", node, params, images, key)
+    shape, channels = np.shape(images), node.domain_in.channels
+    if len(shape) not in {1: (3,), 3: (4,), None: (3, 4)}[channels]:
+        wanted = {1: "(N, H, W)", 3: "(N, H, W, 3)", None: "(N, H, W) or (N, H, W, 3)"}[channels]
+        raise TypeError(
+            f"run_batch: {node.name!r} takes a batch, {node.domain_in.name} of shape {wanted}, got {shape}; "
+            "jaxisp.run takes one image"
+        )
+    check_count({name: params[name] for name in node.init()}, shape[0])
+    return compiled_batch(node, params, images, key, check_start(start, shape[0]))
 
 
 @functools.partial(jax.jit, static_argnums=0)

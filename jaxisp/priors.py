@@ -6,6 +6,7 @@ may be traced, and then nothing is checked.
 """
 
 import dataclasses
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.checks import InputError
+from jaxisp.checks import InputError, expected
+from jaxisp.errors import short
 from jaxisp.params import Spec, specs
+
+__all__ = [
+    "DISTRIBUTIONS", "Bernoulli", "Choice", "Distribution", "LogUniform", "Normal", "PowerUniform", "Uniform",
+    "arguments", "check_prior", "draw", "is_distribution", "is_traced",
+]  # fmt: skip
+__dir__ = __all__.copy  # what an editor completes
 
 
 @dataclass(frozen=True)
@@ -198,6 +206,7 @@ class Choice:
 
 
 Distribution = Uniform | LogUniform | PowerUniform | Normal | Bernoulli | Choice
+"""What a parameter may be drawn from."""
 DISTRIBUTIONS: dict[str, type] = {
     "uniform": Uniform,
     "log_uniform": LogUniform,
@@ -206,6 +215,7 @@ DISTRIBUTIONS: dict[str, type] = {
     "bernoulli": Bernoulli,
     "choice": Choice,
 }
+"""The distributions by the names that TOML files have for them."""
 
 
 def _register(law: type) -> None:
@@ -248,19 +258,28 @@ def is_traced(tree: Any) -> bool:
 def _number(given: Any) -> Any:
     if isinstance(given, jax.core.Tracer) and given.shape == ():
         return given
-    return given if type(given) in (int, float) else float(given)
+    if isinstance(given, str | bytes):
+        raise TypeError
+    number = float(given)  # an integer may be too large for one
+    return given if type(given) in (int, float) else number
 
 
 def _numbers(law: Any) -> None:
-    """Make a distribution's numbers Python's, but for traced ones; raise InputError where they are none."""
+    """Make a distribution's numbers Python's, but for traced ones; raise InputError where they are none, or
+    not finite."""
     for field in dataclasses.fields(law):
         if not field.init:
             continue
         given = getattr(law, field.name)
         try:
             number = tuple(map(_number, given)) if field.name == "values" else _number(given)
-        except (TypeError, ValueError):
-            raise InputError(f"{type(law).__name__}.{field.name} must be a number, got {given!r}") from None
+        except (TypeError, ValueError, OverflowError):
+            wanted = "numbers, as Choice((1, 2))" if field.name == "values" else "a number"
+            path = f"{type(law).__name__}.{field.name}"
+            raise InputError(f"{path} must be {wanted}, got {short(given)}") from None
+        several = number if isinstance(number, tuple) else (number,)
+        if not all(isinstance(n, jax.core.Tracer) or math.isfinite(n) for n in several):
+            raise InputError(f"{type(law).__name__}.{field.name} must be finite, got {short(given)}")
         object.__setattr__(law, field.name, number)
 
 
@@ -283,11 +302,11 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
         for field, spec in specs(type(tree)).items():
             value = getattr(tree, field)
             path = f"{stage}.{field}"
-            if not is_distribution(value):
-                _check_constant(path, spec, value)
-            if is_traced(value):
+            if isinstance(value, jax.core.Tracer):
+                _check_shape(path, spec, value.shape, value)
+            if isinstance(value, jax.core.Tracer) or (is_distribution(value) and is_traced(value)):
                 continue
-            low, high = value.support if is_distribution(value) else (np.min(value), np.max(value))
+            low, high = value.support if is_distribution(value) else _range(path, spec, value)
             tolerance = 1e-6 * (spec.bounds[1] - spec.bounds[0])
             if not (spec.bounds[0] - tolerance <= low <= high <= spec.bounds[1] + tolerance):
                 shown = f" = {low:g}" if low == high else f": [{low:g}, {high:g}]"
@@ -296,18 +315,41 @@ def check_prior(prior: dict[str, Any]) -> dict[str, Any]:
     return prior
 
 
-def _check_constant(path: str, spec: Spec, value: Any) -> None:
-    """Raise InputError where a leaf of a prior is neither a distribution nor numbers of the right shape."""
+def _range(path: str, spec: Spec, value: Any) -> tuple[float, float]:
+    """The least and the greatest of the numbers of a constant.
+
+    Raises:
+        InputError: a leaf of a prior is neither a distribution nor numbers of the right shape.
+    """
     try:
-        array = value if isinstance(value, jax.core.Tracer) else np.asarray(value, np.float32)
-    except (TypeError, ValueError):
-        raise InputError(f"{path}: {value!r} is neither a number nor a distribution") from None
-    if array.size == 0:
+        given = np.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(_told(path, spec, value)) from None
+    whole = given.dtype.kind in ("iub" if spec.unit == "switch" else "iu")
+    if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
+        raise InputError(_told(path, spec, value))
+    _check_shape(path, spec, given.shape, value)
+    array = given.astype(np.float32)
+    if not np.isfinite(array).all():
+        raise InputError(_told(path, spec, value))
+    return float(array.min()), float(array.max())
+
+
+def _check_shape(path: str, spec: Spec, shape: tuple[int, ...], value: Any) -> None:
+    if 0 in shape:
         raise InputError(f"{path} holds no number")
-    if not (array.shape == spec.shape or (spec.any_length and array.ndim == len(spec.shape))):
-        pair = isinstance(value, tuple | list) and array.shape == (2,)
+    if not (shape == spec.shape or (spec.any_length and len(shape) == len(spec.shape))):
+        pair = isinstance(value, tuple | list) and shape == (2,)
         advice = f"; for a range give Uniform({value[0]!r}, {value[1]!r})" if pair else ""
-        raise InputError(f"{path} has the shape {spec.shape}, got {value!r}{advice}")
+        raise InputError(f"{path} has the shape {spec.shape}, got {short(value)}{advice}")
+
+
+def _told(path: str, spec: Spec, value: Any) -> str:
+    """What a parameter is drawn from, where something else is given."""
+    low, high = (f"{bound:g}" for bound in spec.bounds)
+    return (
+        f"{path} must be {expected(spec)}, or drawn from such, as Uniform({low}, {high}); got {short(value)}"
+    )
 
 
 def draw(key: jax.Array, prior: dict[str, Any], like: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ from jax.typing import ArrayLike
 
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
+from jaxisp.checks import check_count, check_key, check_start
 from jaxisp.domains import CAMERA, ENCODED, LINEAR, PROPHOTO, XYZ_D65, Domain, accepts
+from jaxisp.edits import by_stage, same
 from jaxisp.errors import InputError, meant, one_line, short
 from jaxisp.io.files import parse_toml, read_toml, write_text
 from jaxisp.params import specs, strong
 from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signature
-from jaxisp.priors import check_prior, draw
+from jaxisp.priors import check_prior, draw, is_traced
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
 
@@ -28,8 +31,8 @@ ENCODED_LEVELS = -0.25, 1.25
 """What sharpening or resizing may make of encoded pictures, whose levels are 0 to 1; 0 to 1.5 is no such."""
 LIGHT_LEVELS = -0.25, 4.0
 """Linear light may be brighter than white; 8-bit levels are brighter than this."""
-LAST_INDEX = 2**31 - 1
-"""Of samples."""
+EDITED = "-edited"
+"""How the name of a recipe ends that was made of another."""
 _SIZE = (64, 64)  # of the picture that a recipe is tried on
 
 
@@ -54,7 +57,8 @@ class Recipe:
     """
 
     chain: Chain
-    prior: dict[str, Any]
+    prior: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """What parameters are drawn from, by stage name; what is left out is the default."""
     description: str = ""
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from and how it is meant: plain TOML values that no computation needs."""
@@ -64,6 +68,13 @@ class Recipe:
     def __post_init__(self) -> None:
         if not isinstance(self.chain, Chain):
             raise TypeError(f"Recipe takes a Chain((stage(...), ...), NAME), got {short(self.chain)}")
+        for field, wanted, example in (
+            ("prior", dict, "a dict by stage name, as {'gaussian_noise': GaussianNoise(std=0.1)}"),
+            ("description", str, "text"),
+            ("meta", dict, "a dict"),
+        ):
+            if not isinstance(given := getattr(self, field), wanted):
+                raise InputError(f"recipe {self.name!r}: {field} must be {example}, got {short(given)}")
         default = self.chain.init()
         for name, own in self.prior.items():
             if name not in default:
@@ -88,11 +99,15 @@ class Recipe:
         return self.to_toml()
 
     def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Recipe) or self is other:
+            return self is other
         # by its text alone, a stage that was edited would go on as it was compiled before
-        return isinstance(other, Recipe) and self._text == other._text and self.chain == other.chain
+        if self.chain != other.chain or is_traced(self.prior) or is_traced(other.prior):
+            return False
+        return self._text == other._text
 
     def __hash__(self) -> int:
-        return hash(self._text)
+        return hash(self.chain)
 
     def __repr__(self) -> str:
         return shown.recipe_text(self)
@@ -100,10 +115,30 @@ class Recipe:
     def _repr_html_(self) -> str:
         return shown.recipe_html(self)
 
-    def override(self, **stages: dict[str, Any]) -> "Recipe":
+    def named(self, name: str) -> "Recipe":
+        """The recipe by another name; nothing else changes, and nothing is compiled anew.
+
+        What is edited (`override`, `insert`, `replace`, `without`) has the ending `-edited` until it is
+        named.
+        Raises TypeError where the name is no text, InputError where it is empty.
+
+        Example:
+            >>> import jaxisp
+            >>> loud = jaxisp.recipes.awgn().override(gaussian_noise={"std": 0.2})
+            >>> loud.name, loud.named("loud").name
+            ('awgn-edited', 'loud')
+        """
+        if isinstance(name, str) and not name.strip():
+            raise InputError(f"recipe {self.name!r}: its new name is empty")
+        return dataclasses.replace(self, chain=dataclasses.replace(self.chain, name=name))
+
+    def override(
+        self, stages: Mapping[str, dict[str, Any]] | None = None, /, **named: dict[str, Any]
+    ) -> "Recipe":
         """The recipe with some parameters drawn otherwise, or other static options; all others stay.
 
-        `recipe.override(shot_read_noise={"read": Uniform(0.0, 0.05)})`; a number is not drawn.
+        `recipe.override(shot_read_noise={"read": Uniform(0.0, 0.05)})`, or the same as one dict; a number is
+        not drawn.
 
         Raises:
             InputError: there is no such stage, parameter or option, or it may not be what is given.
@@ -111,30 +146,37 @@ class Recipe:
         changed, options = {}, {}
         has = {s.name: dict(signature(s.fn).static) for s in self.chain.stages()}
         has = {name: has.get(name, {}) for name in {**has, **self.prior}}
-        for name, values in stages.items():
+        for name, values in by_stage(self.name, stages, named).items():
             if name not in has:
                 hint = meant(name, has) or f"; it has {sorted(has)}"
                 raise InputError(f"recipe {self.name!r} has no stage {name}{hint}")
             known = specs(type(self.prior[name])) if name in self.prior else {}
-            if not isinstance(values, dict) or set(values) - {*known, *has[name]}:
-                also = f" and the options {sorted(has[name])}" if has[name] else ""
-                raise InputError(
-                    f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}{also}, got {short(values)}"
-                )
+            also = f" and the options {sorted(has[name])}" if has[name] else ""
+            takes = f"recipe {self.name!r}: {name} takes a dict of {sorted(known)}{also}"
+            if not isinstance(values, dict):
+                raise InputError(f"{takes}, got {short(values)}")
+            if unknown := [str(n) for n in values if n not in known and n not in has[name]]:
+                hint = meant(unknown[0], {**known, **has[name]})
+                raise InputError(f"{takes}, got {unknown[0]!r}{hint}")
             if drawn := {n: v for n, v in values.items() if n in known}:
                 changed[name] = dataclasses.replace(self.prior[name], **drawn)
             if static := {n: v for n, v in values.items() if n not in known}:
                 options[name] = static
-        chain = self.chain.override(**options) if options else self.chain
-        return dataclasses.replace(self, chain=chain, prior=changed)
+        chain = self.chain.override(options) if options else self.chain
+        if not changed and not options:
+            return self
+        return dataclasses.replace(self, chain=_edited(chain), prior=changed)
 
-    def insert(self, *nodes: Node, before: str | None = None, after: str | None = None) -> "Recipe":
+    def insert(
+        self, *nodes: Node | Iterable[Node], before: str | None = None, after: str | None = None
+    ) -> "Recipe":
         """The recipe with stages before or after the one of a name; their parameters are the defaults.
 
         `recipe.insert(stage("vignetting"), before="mosaic").override(vignetting={...})`
 
         Raises:
-            InputError: there is no stage of that name. ValueError, TypeError: as where a chain is built.
+            InputError: there is no stage of that name, or the chain could not be built.
+            TypeError: what is inserted is no stage.
         """
         return self._with(self.chain.insert(*nodes, before=before, after=after))
 
@@ -145,7 +187,7 @@ class Recipe:
         """
         return self._with(self.chain.replace(name, node))
 
-    def without(self, *names: str) -> "Recipe":
+    def without(self, *names: str | Iterable[str]) -> "Recipe":
         """The recipe less the stages of those names; the others' draws and noise stay to the bit.
 
         Raises what `insert` does.
@@ -153,6 +195,8 @@ class Recipe:
         return self._with(self.chain.without(*names))
 
     def _with(self, chain: Chain) -> "Recipe":
+        if same(chain.nodes, self.chain.nodes):
+            return self
         sizes = {name: np.shape(v.priority) for name, v in chain.init().items() if isinstance(v, Order)}
         # constant priorities of fewer or more nodes say nothing of the order now
         kept = {
@@ -160,10 +204,11 @@ class Recipe:
             for name, own in self.prior.items()
             if not isinstance(own, Order) or np.shape(own.priority) in ((), sizes.get(name))
         }
-        return dataclasses.replace(self, chain=chain, prior={}, _before=kept)
+        return dataclasses.replace(self, chain=_edited(chain), prior={}, _before=kept)
 
     def draw(self, key: jax.Array) -> dict[str, Any]:
-        """One draw of the parameters."""
+        """One draw of the parameters. Raises TypeError where the key is none."""
+        check_key(f"recipe {self.name!r}", key)
         return draw(key, self.prior, self.chain.init())
 
     def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
@@ -194,11 +239,14 @@ class Recipe:
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
 
-        Takes and raises what `degrade` does, and InputError where a parameter is NaN or out of its bounds (of
-        traced ones nothing is known).
+        Takes and raises what `degrade` does, and InputError where the parameters are those of another recipe
+        or of another number of images, or one is NaN or out of its bounds (of traced ones nothing is known).
         """
-        key, images, start = taken(f"recipe {self.name!r}", key, images, start, self.chain.domain_in)
+        who = f"recipe {self.name!r}"
+        key, images, start = taken(who, key, images, start, self.chain.domain_in)
+        check_drawn(who, self.chain, params)
         self.chain.check(params)
+        check_count(params, len(images))
         return _repeat(self.chain, key, params, images, start)
 
     def to_toml(self) -> str:
@@ -252,17 +300,22 @@ def taken(
     if dtype is None or len(shape) != 4 or shape[-1] != 3 or not jnp.issubdtype(dtype, jnp.floating):
         got = type(images).__name__ if dtype is None else f"{dtype}{shape}"
         advice = ""
-        if len(shape) == 3 and shape[-1] == 3:
+        if dtype is None:
+            advice = ": give an array, as np.asarray(image, np.float32)[None] / 255"
+        elif len(shape) == 3 and shape[-1] == 3:
             advice = ": give one picture as image[None]"
         elif len(shape) == 4 and shape[1] == 3 != shape[-1]:
             advice = ": move the channels last"
         elif dtype is not None and jnp.issubdtype(dtype, jnp.integer):
             advice = ": divide 8 bits by 255"
+        elif len(shape) == 4 and shape[-1] == 4:
+            advice = ": leave the fourth channel out, as images[..., :3]"
+        elif len(shape) == 3:
+            advice = ": make three channels of grey, as np.stack(3 * [images], -1)"
         raise TypeError(f"{who} takes (N, H, W, 3) floats in [0, 1], got {got}{advice}")
-    if not isinstance(key, jax.Array | np.ndarray):
-        raise TypeError(f"{who} takes a JAX key, as jax.random.key(0), got {key!r}")
+    check_key(who, key)
     check_levels(images, who, domain)
-    return key, jnp.asarray(images, jnp.float32), _indices(start, shape[0])
+    return key, jnp.asarray(images, jnp.float32), check_start(start, shape[0])
 
 
 def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
@@ -301,6 +354,22 @@ def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
 def _within(images: jax.Array, darkest: float, brightest: float) -> jax.Array:
     # NaN is not; a minimum and a maximum take four times as long, and pass over NaN of other devices
     return ((images >= darkest) & (images <= brightest)).all()
+
+
+def check_drawn(who: str, chain: Chain, params: Any) -> None:
+    """Raise InputError where parameters are not those that a chain has, by name."""
+    told = f"{who} repeats with the parameters that its degrade returned"
+    if not isinstance(params, dict):
+        raise InputError(f"{told}, a dict by stage name, got {type(params).__name__}")
+    own = set(chain.init())
+    for what, names in (("lack", own - set(params)), ("are of another recipe, with", set(params) - own)):
+        if names:
+            raise InputError(f"{told}; these {what} {', '.join(sorted(map(str, names)))}")
+
+
+def _edited(chain: Chain) -> Chain:
+    """The chain by the name of one that was edited."""
+    return dataclasses.replace(chain, name=f"{chain.name.removesuffix(EDITED)}{EDITED}")
 
 
 def check_photographs(recipe: Recipe) -> None:
@@ -344,21 +413,6 @@ def _call(node: Node, params: dict[str, Any], image: jax.Array, key: jax.Array) 
     return node(params, image, key=key)
 
 
-def _indices(start: Any, count: int) -> Any:
-    """`start` in int32, which JAX would wrap a larger one into; what is on the device already is as it is."""
-    if isinstance(start, jax.Array):
-        return start
-    given = np.asarray(start)
-    last = LAST_INDEX - (max(count - 1, 0) if given.ndim == 0 else 0)
-    whole = np.issubdtype(given.dtype, np.integer) and given.shape in ((), (count,))
-    if not (whole and ((given >= 0) & (given <= last)).all()):
-        raise ValueError(
-            f"start = {short(start)}: give the index of the first image, or one for each of the {count}, "
-            f"from 0 to {LAST_INDEX}"
-        )
-    return given.astype(np.int32)
-
-
 def sample_halves(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
     """Per sample, one key for its parameters and one for its noise."""
     indices = start + jnp.arange(count) if jnp.ndim(start) == 0 else start
@@ -384,6 +438,7 @@ def _repeat(chain: Chain, key: jax.Array, params: Any, images: jax.Array, start:
 
 
 def _flatten(recipe: Recipe) -> tuple[tuple[Any, ...], Any]:
+    # names of equal chains may differ: recipes that are edited are of one structure with what they were
     aux = tuple(recipe.prior), recipe.chain, recipe.description, tomli_w.dumps(recipe.meta)
     return tuple(recipe.prior.values()), aux
 

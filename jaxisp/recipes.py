@@ -42,9 +42,18 @@ from jaxisp.stages.sensor import AdcQuantization
 from jaxisp.stages.tone import SCurve
 from jaxisp.unprocess import Unprocessed
 
+__all__ = [
+    "CLEAN", "PHASES", "RECIPES", "Degradation", "Mixture", "Recipe", "RecipeLike", "amwgn", "any_camera",
+    "any_phase", "awgn", "bsrgan", "cbdnet", "darmstadt", "find_degradation", "find_recipe",
+    "load_degradation", "low_light", "mix", "phone", "phone_ahd", "phone_any", "phone_authors_code",
+    "phone_bilinear", "phone_kodak", "phone_no_demosaic", "phone_no_denoise", "phone_no_post", "phone_shot",
+    "read_degradation", "rsblur", "unprocessing",
+]  # fmt: skip
+__dir__ = __all__.copy  # what an editor completes
 CFA = "GRBG"
 PHASES = "-phases"
-"""How the name of a recipe ends whose mosaic begins at any photosite of its cell."""
+"""How the name of a recipe, or the path of its file, ends whose mosaic begins at any photosite."""
+_LISTED = "`jaxisp recipes` lists all"
 CLEAN = "clean"
 """The name of pictures as they are, in a mixture."""
 RecipeLike = str | Path | Chain | Degradation
@@ -282,8 +291,8 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
 def find_recipe(recipe: RecipeLike, *, phases: bool = False) -> Recipe:
     """One recipe: as it is, by its built-in name, from a TOML file, or of a chain. Raises InputError.
 
-    The name of a recipe with a mosaic may end in `-phases`: it is then drawn where in its cell it begins.
-    With `phases` all built-in recipes with a mosaic are so.
+    The name of a recipe with a mosaic, or the path of its file, may end in `-phases`: it is then drawn where
+    in its cell it begins. With `phases` all built-in recipes with a mosaic are so.
 
     Args:
         recipe: all that `RecipeLike` is but mixtures, which are several recipes.
@@ -308,12 +317,26 @@ def find_recipe(recipe: RecipeLike, *, phases: bool = False) -> Recipe:
         found = RECIPES[name]()
         has_phase = phases and not _draws_phase(found) and _phased(found.chain)[1] == 1
         return any_phase(found) if has_phase else found
-    if name.removesuffix(PHASES) in RECIPES:
-        return any_phase(RECIPES[name.removesuffix(PHASES)]())
-    if not name.endswith(".toml") and not os.path.lexists(name):
-        hint = meant(name, RECIPES) or f"; there are {', '.join(RECIPES)}, or give a TOML file"
-        raise InputError(f"no recipe named {name!r}{hint}")
-    return Recipe.load(name)
+    if name.endswith(".toml") or (name and os.path.lexists(name)):
+        return Recipe.load(name)
+    if name.endswith(PHASES):
+        return any_phase(find_recipe(name.removesuffix(PHASES)))
+    raise InputError(_unknown(name))
+
+
+def _unknown(name: str) -> str:
+    """Why a name is that of no recipe."""
+    if not name.strip():
+        return f"a recipe is named, as phone, or the path of a TOML file; got {name!r}; {_LISTED}"
+    if "=" in name:
+        return f"{name!r} is a mixture, several recipes: one is taken here"
+    if "," in name:
+        return f"{name!r}: several recipes need their shares, which sum to 1, as phone=0.8,clean=0.2"
+    if name == CLEAN:
+        return (
+            f"{CLEAN!r} is a picture as it is, which has a place in a mixture alone, as phone=0.8,clean=0.2"
+        )
+    return f"no recipe named {name!r}{meant(name, RECIPES) or ';'} {_LISTED}"
 
 
 def find_degradation(recipe: RecipeLike, *, phases: bool = False) -> Degradation:
@@ -331,19 +354,20 @@ def find_degradation(recipe: RecipeLike, *, phases: bool = False) -> Degradation
     name = str(recipe)
     if "=" in name and not os.path.lexists(name):
         shares: dict[str | Recipe, float] = {}
-        named: set[str] = set()
         for part in name.split(","):
-            own, share = (text.strip() for text in part.rpartition("=")[::2])
-            if own in named:
-                raise InputError(f"{name}: {own} has two shares")
-            named.add(own)
+            own, _, share = (text.strip() for text in part.rpartition("="))
             try:
-                found = find_recipe(own, phases=True) if phases and own != CLEAN else own
-                shares[found] = float(share)
+                number = float(share) if own else None
             except ValueError:
-                raise InputError(f"{part.strip()!r} is no share of a mixture, as phone=0.6") from None
+                number = None
+            if number is None:
+                raise InputError(f"{name!r}: {part.strip()!r} is no share of a mixture, as phone=0.6")
+            found = own if own == CLEAN else find_recipe(own, phases=phases)
+            if found in shares:
+                raise InputError(f"{name}: {own} has two shares")
+            shares[found] = number
         return mix(shares)
-    if name not in RECIPES and (name.endswith(".toml") or os.path.lexists(name)):
+    if name not in RECIPES and (name.endswith(".toml") or (name and os.path.lexists(name))):
         return load_degradation(name)
     return find_recipe(name, phases=phases)
 
@@ -386,7 +410,8 @@ def mix(shares: Mapping[Any, float]) -> Mixture:
         recipe = _clean() if given == CLEAN else find_recipe(given)
         if recipe.name in recipes:
             raise InputError(
-                f"two recipes of a mixture are named {recipe.name!r}: name one's chain otherwise"
+                f"two recipes of a mixture are named {recipe.name!r}: name one otherwise, as "
+                f"recipe.named('other')"
             )
         recipes[recipe.name] = recipe
     return Mixture(recipes, tuple(shares.values()))

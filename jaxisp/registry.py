@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import jax
 
 from jaxisp.domains import Domain
-from jaxisp.errors import meant
+from jaxisp.errors import UnknownStage, meant
 
 StageFunction = Callable[..., jax.Array]
 Reach = int | None | Callable[[Mapping[str, Any]], int | None]
@@ -101,13 +101,18 @@ def _register(fn: StageFunction, locality: Locality) -> StageFunction:
 
 
 def find_stage(name: str) -> StageFunction:
-    """A registered stage function, whatever was imported so far. Raises KeyError where there is none."""
+    """A registered stage function, whatever was imported so far. Raises UnknownStage where there is none."""
+    if not is_stage(name):
+        hint = meant(name, REGISTRY) or "; `jaxisp stages` and jaxisp.STAGES have all"
+        raise UnknownStage(f"no stage named {name!r}{hint}")
+    return REGISTRY[name]
+
+
+def is_stage(name: str) -> bool:
+    """Whether a stage of that name is registered, whatever was imported so far."""
     if name not in REGISTRY:
         _load_stages()
-    if name not in REGISTRY:
-        hint = meant(name, REGISTRY) or f"; there are {', '.join(sorted(REGISTRY))}"
-        raise KeyError(f"no stage named {name!r}{hint}")
-    return REGISTRY[name]
+    return name in REGISTRY
 
 
 def _load_stages() -> None:
@@ -147,7 +152,10 @@ def signature(fn: StageFunction) -> Signature:
     try:
         domain_in, domain_out = (hints[n].__metadata__[0] for n in ("image", "return"))
     except (KeyError, AttributeError):
-        raise TypeError(f"{fn.__name__}: annotate image and return with a domain") from None
+        raise TypeError(
+            f"{fn.__name__}: annotate image and return with a domain of jaxisp.domains, as "
+            "(image: LinearRGB) -> LinearRGB"
+        ) from None
     limits = {name: hints[name] for name in static if name in hints}
     return Signature(
         hints.get("params"), "key" in arguments, tuple(static.items()), limits, domain_in, domain_out

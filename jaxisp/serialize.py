@@ -139,9 +139,9 @@ def _encode_leaf(value: Any) -> Any:
 def _decode_leaf(path: str, value: Any) -> Any:
     try:
         if not isinstance(value, dict):
-            return np.asarray(value, np.float32)
+            return np.asarray(_numbers(value), np.float32)
         ((kind, arguments),) = value.items()
-        numbers = [float(a) for a in arguments]
+        numbers = [float(_numbers(a)) for a in arguments]
         if not all(map(math.isfinite, numbers)):
             raise ValueError("not finite")
         return Choice(tuple(numbers)) if kind == "choice" else DISTRIBUTIONS[kind](*numbers)
@@ -152,6 +152,14 @@ def _decode_leaf(path: str, value: Any) -> Any:
         raise InputError(
             f"{path} = {short(value)}: give a number, an array, or one of {kinds} with its numbers"
         ) from None
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """Numbers, or true and false; ValueError for texts and dates, of which NumPy would make numbers."""
+    given = np.asarray(value)
+    if given.dtype.kind not in "iufb" and given.dtype != object:  # of integers of any size
+        raise ValueError
+    return given
 
 
 def _plain(value: Any) -> Any:

@@ -23,8 +23,11 @@ def value_text(value: Any) -> str:
         return f"traced{list(value.shape)}"
     if dataclasses.is_dataclass(value):  # a distribution
         given = [getattr(value, field.name) for field in dataclasses.fields(value) if field.init]
-        numbers = given[0] if isinstance(given[0], tuple) else given
-        return f"{type(value).__name__}({', '.join(map(value_text, numbers))})"
+        several = isinstance(given[0], tuple)  # of a choice
+        text = ", ".join(map(value_text, given[0] if several else given))
+        if several:
+            text = f"({text})" if len(given[0]) > 1 else f"({text},)"
+        return f"{type(value).__name__}({text})"
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):

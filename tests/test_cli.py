@@ -1,5 +1,6 @@
 """The command line: results, exit codes, one line for each fault, nothing half-written."""
 
+import argparse
 import json
 import subprocess
 import sys
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxisp.cli import common, main
+from jaxisp.cli import common, main, parser
+from jaxisp.cli.common import print_table
 from jaxisp.io import WarpRectilinear, open_dataset
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
@@ -86,6 +88,31 @@ def test_recipes(capsys):
     listed = {r["name"]: r for r in json.loads(run(capsys, "recipes", "--json")[1])}
     assert listed["phone"]["draws"]["shot_read_noise.read"].startswith("uniform")
     assert "phone-no-post" in run(capsys, "recipes")[1]
+
+
+def test_recipes_are_listed_by_name_or_word(capsys):
+    def names(*words):
+        status, out, _ = run(capsys, "recipes", *words, "--json")
+        assert status == 0
+        return [recipe["name"] for recipe in json.loads(out)]
+
+    assert names("phone") == ["phone"] and names("awgn", "phone") == ["awgn", "phone"]
+    assert names("phone-no") == ["phone-no-post", "phone-no-denoise", "phone-no-demosaic"]
+    status, out, err = run(capsys, "recipes", "fone")
+    assert status == 2 and not out and "is it phone?" in err
+
+
+def test_folders_of_outputs_are_made_before_the_work(capsys, tmp_path):
+    raw, new = dng(tmp_path / "a.dng"), tmp_path / "new"
+    assert run(capsys, "develop", raw, "-o", new / "b" / "a.png")[0] == 0 and (new / "b" / "a.png").is_file()
+    for command in (
+        ("develop", tmp_path / "none.dng", "-o", tmp_path / "other" / "a.png"),
+        ("recipe", tmp_path / "none.toml", "-o", tmp_path / "other" / "b.toml"),
+        ("degrade", tmp_path, "-o", new / "b" / "a.png", "--recipe", "awgn"),
+    ):
+        status, out, err = run(capsys, *command)
+        assert status == 2 and not out and err.count("\n") == 1
+        assert not (tmp_path / "other").exists()
 
 
 def test_degrade_writes_a_data_set_whose_images_can_be_made_again(capsys, photographs, tmp_path):
@@ -305,3 +332,46 @@ def test_standard_streams_that_are_closed_full_or_left(rest, status, told):
     words = f"{sys.executable} -m jaxisp recipes --json {rest}"
     done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
     assert done.returncode == status and told in done.stderr and done.stderr.count("\n") == bool(told)
+
+
+def test_options_are_shown_where_they_do_something():
+    """All commands take a seed, as scripts may give it to each."""
+    (group,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    drawing = {name for name, command in group.choices.items() if "--seed" in command.format_help()}
+    assert drawing == {"demo", "develop", "degrade", "train", "diagnose"}
+    for name in ("compare a b", "stages", "fit a -o b", "evaluate a"):
+        assert parser().parse_args([*name.split(), "--seed", "3"]).seed == 3
+    for name, command in group.choices.items():
+        for action in command._actions:
+            assert action.help or action.choices, f"{name}: {action.dest} says nothing of itself"
+
+
+def test_a_folder_of_another_run_is_told_in_a_line_and_stays(capsys, photographs, tmp_path):
+    out = tmp_path / "out"
+    assert run(capsys, "degrade", photographs, "-o", out, "--recipe", "awgn")[0] == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    for other in (("amwgn",), ("awgn", "--seed", 1), ("amwgn", "--resume"), ("awgn=0.5,clean=0.5",)):
+        status, said, err = run(capsys, "degrade", photographs, "-o", out, "--recipe", *other)
+        assert status == 2 and not said and err.count("\n") == 1
+        assert "recipe 'awgn'" in err and "choose another folder, or empty this one" in err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert run(capsys, "degrade", photographs, "-o", out, "--recipe", "awgn", "--resume")[0] == 0
+    assert run(capsys, "degrade", photographs, "-o", out, "--recipe", "awgn")[0] == 0
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_where_nothing_can_be_used_nothing_is_said_to_be_done(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxisp.cli.denoise.find_denoiser", lambda _: (None, "none"))  # no picture to denoise
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.png").write_bytes(b"no picture")
+    for command in (("degrade", "--recipe", "awgn"), ("denoise",)):
+        name, *more = command
+        status, out, err = run(capsys, name, tmp_path / "in", "-o", tmp_path / "new", *more)
+        assert status == 2 and not out and err.count("\n") == 1 and "a.png" in err
+        assert not (tmp_path / "new").exists()
+
+
+def test_a_table_that_is_piped_is_whole(capsys):
+    print_table(("a", "b"), [("x" * 300, "y" * 300), ("x", "y")])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 and lines[1] == f"{'x' * 300}  {'y' * 300}" and lines[2].endswith("y")

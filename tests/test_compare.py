@@ -126,5 +126,8 @@ def test_a_report_is_not_overwritten(tmp_path, capsys):
     before = a.read_bytes()
     assert main(["compare", str(a), str(a), "-o", str(a)]) == 2
     assert a.read_bytes() == before and "overwritten" in capsys.readouterr().err
+    for name in ("report.json", "report.html"):  # of the folder that is given, too
+        assert main(["compare", str(a.parent), str(a.parent), "-o", str(a.parent / name)]) == 2
+        assert a.read_bytes() == before and "overwritten" in capsys.readouterr().err
     with pytest.raises(InputError, match="cannot be read"):
         read_report(tmp_path / "none.json")

@@ -115,7 +115,11 @@ def test_editing_a_recipe():
         "second",
     ]
     assert shaded.prior["shot_read_noise"] == phone.prior["shot_read_noise"]
-    assert shaded.without("vignetting") == phone
+    assert shaded.without("vignetting").named("phone") == phone
+    assert phone.without(["median", "clip"]) == phone.without("median", "clip")
+    two = [stage("vignetting"), stage("exposure")]
+    assert phone.insert(two, before="mosaic") == phone.insert(*two, before="mosaic")
+    assert phone.override({"median": {"strength": 0.5}}) == phone.override(median={"strength": 0.5})
     other = phone.replace("demosaic_hibbard", stage("demosaic_ahd", cfa="GRBG"))
     assert names(other.chain) == [
         "demosaic_ahd" if n == "demosaic_hibbard" else n for n in names(phone.chain)
@@ -127,6 +131,40 @@ def test_editing_a_recipe():
     assert Recipe.from_toml(other.to_toml()) == other
     assert phone.chain.without("median") == phone.without("median").chain
     assert phone.chain.override(median={"footprint": "5x5"}).nodes[6] == stage("median", footprint="5x5")
+
+
+def test_a_chain_within_may_be_replaced_by_one_of_another_name():
+    inner = Chain((stage("clip"), stage("rounding")), "inner")
+    chain = Chain((Chain((inner, stage("median")), "whole"),), "outer")
+    other = chain.replace("inner", Chain(inner.nodes, "other"))
+    assert [n.name for n in other.nodes[0].nodes] == ["other", "median"] and other == chain
+
+
+def test_an_edited_recipe_says_so():
+    """In its name, its text, its files and as a part of a mixture; and runs what is compiled already."""
+    phone, (recipe, traces) = RECIPES["phone"](), lifting()
+    for edited in (
+        phone.override(median={"strength": 0.5}),
+        phone.override(median={"footprint": "5x5"}),
+        phone.insert(stage("exposure"), before="mosaic"),
+        phone.replace("median", stage("median", footprint="5x5")),
+        phone.without("median"),
+        phone.without("median").without("clip"),
+    ):
+        assert edited.name == "phone-edited" and repr(edited).startswith("Recipe 'phone-edited': ")
+        assert 'name = "phone-edited"' in edited.to_toml() and edited.named("x").name == "x"
+    assert phone.override() is phone.without() is phone and phone.override(median={}) is phone
+    for wrong, error in ((" ", InputError), (3, TypeError)):
+        with pytest.raises(error, match="name"):
+            phone.named(wrong)
+    loud = recipe.override(lift={"level": 0.5})
+    for own in (recipe, loud, loud.named("loud")):
+        own.degrade(KEY, IMAGES)
+    assert len(traces) == 1
+    between = jax.tree.map(lambda a, b: (a + b) / 2, recipe, loud)
+    assert between.prior["lift"].level == 0.25
+    mixture = mix({recipe: 0.5, loud: 0.25, loud.named("loud"): 0.25})
+    assert mixture.names == ("lifting", "lifting-edited", "loud")
 
 
 def test_editing_what_is_within_a_gate():
@@ -150,18 +188,22 @@ def test_edits_that_are_refused(of):
     for edit, message in (
         (lambda: phone.without("medain"), "has no stage 'medain'; is it median"),
         (lambda: phone.replace("demosaic", stage("demosaic_ahd")), "has no stage 'demosaic'"),
-        (lambda: phone.insert(stage("vignetting")), "either before= or after="),
+        (lambda: phone.insert(stage("vignetting")), "one of before= and after="),
         (
             lambda: phone.insert(stage("vignetting"), before="mosaic", after="clip"),
-            "either before= or after=",
+            "one of before= and after=",
         ),
         (lambda: phone.insert("vignetting", before="mosaic"), r"stage\('vignetting'\)\?"),
-        (lambda: phone.insert(stage("median"), before="median"), "median is not: use stage"),
+        (lambda: phone.insert(stage("median"), before="median"), "several are named median"),
         (lambda: phone.without("mosaic"), "takes"),
         (lambda: phone.replace("demosaic_hibbard", stage("demosaic_ahd")), "takes one colour for another"),
         (lambda: phone.override(mosaic={"cfa": "GRBB"}), "one of RGGB"),
         (lambda: phone.override(median={"footprnt": "cross"}), "footprint"),
         (lambda: phone.override(medain={}), "has no stage '?medain'?; is it median"),
+        (lambda: phone.without("jpegg"), "has no stage 'jpegg'; is it jpeg_photoshop"),
+        (lambda: phone.insert(stage("exposure"), before=stage("mosaic")), "give its name, 'mosaic'"),
+        (lambda: phone.override([]), r"override takes dicts by stage, as median={...}, got \[\]"),
+        (lambda: phone.override({"median": {}}, median={}), "override was given median twice"),
     ):
         with pytest.raises((InputError, ValueError, TypeError), match=message):
             edit()
@@ -199,6 +241,38 @@ def test_a_mixture_draws_its_shares_and_compiles_once():
             assert abs(lifted.mean() - share) < 5 * (share * (1 - share) / 4000) ** 0.5 + 1e-9
             np.testing.assert_array_equal(noisy[:, 0, 0, 0], np.where(lifted, np.float32(0.5 * share), 0))
     assert len(traces) == 1
+
+
+def test_a_schedule_of_shares_in_ones_own_step():
+    """A mixture is an argument of a jitted step, or its shares are computed there; neither compiles again."""
+    recipe, traces = lifting()
+    images = np.zeros((64, 2, 2, 3), np.float32)
+    lifted = {share: recipe.override(lift={"level": 0.5 * share}) for share in (0.25, 0.5, 0.75)}
+
+    @jax.jit
+    def passed(mixture, images):
+        return mixture.degrade(KEY, images)[0]
+
+    @jax.jit
+    def computed(share, images):
+        now = mix({recipe.override(lift={"level": 0.5 * share}): share, "clean": 1 - share})
+        return now.degrade(KEY, images)[0]
+
+    for share, own in lifted.items():
+        mixture = mix({own: share, "clean": 1 - share})
+        outside = mixture.degrade(KEY, images)[0]
+        np.testing.assert_array_equal(passed(mixture, images), outside)
+        np.testing.assert_array_equal(computed(np.float32(share), images), outside)
+    assert len(traces) <= 3  # one a program
+    again = jax.tree.map(lambda number: number, mix({own: 0.9, "clean": 0.1}))
+    assert again == mix({own: 0.9, "clean": 0.1}) and hash(again) == hash(mix({own: 0.9, "clean": 0.1}))
+    assert repr(again) == "mix({'lifting-edited': 0.9, 'clean': 0.1})"
+    named = jax.tree.map(lambda number: number, mix({"awgn": 0.9, "clean": 0.1}))
+    assert Mixture.from_toml(named.to_toml()) == named == mix({"awgn": 0.9, "clean": 0.1})
+    moved = jax.device_put(again)
+    assert moved == again and np.array_equal(moved.degrade(KEY, images)[0], again.degrade(KEY, images)[0])
+    with pytest.raises(InputError, match="a share for each"):
+        jax.jit(lambda share: Mixture({"clean": mix({"clean": 1}).recipes["clean"]}, (share, share)))(0.5)
 
 
 def test_a_mixture_runs_no_recipe_for_the_images_of_another():

@@ -24,7 +24,7 @@ from experiments import evaluation, gallery, raw_noise, readme_table, real_data,
 from experiments.denoisers import report as denoisers
 from experiments.fit_phones import __main__ as fit_phones
 from jaxisp.gap import EFFECTS
-from jaxisp.recipes import RECIPES
+from jaxisp.recipes import RECIPES, any_phase, find_recipe
 from jaxisp.stages import STAGES
 
 ROOT = Path(__file__).parent.parent
@@ -299,12 +299,15 @@ def test_the_readmes_example_runs():
     np.testing.assert_array_equal(names["again"], names["noisy"])
 
 
-def test_the_page_on_composing_runs():
+def test_the_page_on_composing_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # it saves a recipe
     text = (ROOT / "docs/how-to/compose.md").read_text()
     names: dict[str, object] = {}
     for code in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(code, names)
     assert set(names["names"]) <= {"awgn", "amwgn", "clean"}
+    assert find_recipe("mine.toml") == names["mine"] and names["mine"].name == "mine"
+    assert find_recipe("mine.toml-phases") == any_phase(names["mine"])
 
 
 def test_the_gallery_is_what_its_command_writes():

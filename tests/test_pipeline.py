@@ -229,11 +229,11 @@ def test_noise_needs_a_key():
 
 
 def test_errors_at_build_name_the_fault():
-    with pytest.raises(TypeError, match=r"unsharp_mask has no option 'radios'; it has \['radius'\]"):
+    with pytest.raises(TypeError, match=r"unsharp_mask has no option 'radios'; is it radius\?"):
         stage(unsharp_mask, radios=3)
     with pytest.raises(KeyError, match="no stage named 'sharpen'"):
         stage("sharpen")
-    with pytest.raises(ValueError, match="gain is not"):
+    with pytest.raises(ValueError, match="several are named gain"):
         Chain((stage(gain), stage(gain)))
     with pytest.raises(ValueError, match=r"'unsharp_mask' takes any three channels, but .* gives mosaic"):
         Chain((stage(gray), stage(unsharp_mask)))

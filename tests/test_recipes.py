@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxisp.checks import LAST_INDEX
 from jaxisp.domains import LINEAR, EncodedRGB
 from jaxisp.errors import InputError
 from jaxisp.pipeline import Chain, Gate, Order, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
-from jaxisp.recipe import LAST_INDEX, Recipe, _degrade, check_levels, check_photographs, check_traces
+from jaxisp.recipe import Recipe, _degrade, check_levels, check_photographs, check_traces
 from jaxisp.recipes import RECIPES, find_recipe
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.testing import smooth_image

@@ -34,7 +34,7 @@ def test_a_recipe_fits_on_a_screen(name):
 def test_a_recipe_shows_what_it_draws_and_its_options():
     text = " ".join(repr(RECIPES["phone-any"]()).split())
     assert "shot=LogUniform(0.003, 0.06), read=LogUniform(0.001, 0.03)" in text
-    assert "cfa='GRBG'" in text and "use_bilateral (Gate), on=Choice(0, 1)" in text
+    assert "cfa='GRBG'" in text and "use_bilateral (Gate), on=Choice((0, 1))" in text
 
 
 def test_tables_hold_bounds_and_units():
@@ -74,7 +74,7 @@ def listed(capsys, *arguments):
 
 def test_stages_are_listed_by_group_a_line_each(capsys):
     lines = listed(capsys).splitlines()
-    assert max(map(len, lines)) <= 110
+    assert not any(line.endswith("...") for line in lines)  # what is piped is whole
     stages = [line.split()[0] for line in lines[:-1] if line.startswith("  ")]
     package = {name for name, fn in STAGES.items() if fn.__module__.startswith("jaxisp.")}
     assert package <= set(stages) and len(stages) == len(set(stages))

@@ -2,9 +2,11 @@
 
 import argparse
 import difflib
+import io
 import json
 import os
 import re
+import shutil
 import sys
 import threading
 import time
@@ -32,13 +34,13 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_command(
-    commands: Any, name: str, run: Any, help: str, *, prints: bool = True
+    commands: Any, name: str, run: Any, help: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """A subcommand with the options that all have."""
+    """A subcommand with the options that all have; what draws nothing takes a seed, and does not show it."""
     command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
-    command.add_argument("--seed", type=seed, default=0, help="random seed (default 0)")
-    if prints:
-        command.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    told = "random seed (default 0)" if draws else argparse.SUPPRESS
+    command.add_argument("--seed", type=seed, default=0, help=told)
+    command.add_argument("--json", action="store_true", help="print JSON and nothing else")
     command.set_defaults(run=run)
     return command
 
@@ -102,7 +104,7 @@ def print_json(value: Any) -> None:
 
 
 def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """A table on standard output, as wide as it needs to be."""
+    """A table on standard output: as wide as a terminal, and whole elsewhere."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text  # in which brackets are brackets
@@ -110,8 +112,10 @@ def print_table(headers: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     table = Table(*headers, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*(Text(printable(str(cell))) for cell in row))
-    with _printing():
-        Console(width=None if sys.stdout.isatty() else 200).print(table)
+    text = io.StringIO()
+    Console(file=text, width=terminal_width() or _WIDEST).print(table)
+    for line in text.getvalue().splitlines():
+        say(line.rstrip())
 
 
 def report_failures(failed: Iterable[tuple[str, str]]) -> int:
@@ -120,6 +124,15 @@ def report_failures(failed: Iterable[tuple[str, str]]) -> int:
     for reason in reasons:
         warn(reason)
     return 2 if reasons else 0
+
+
+_WIDEST = 10_000
+"""Columns of a table that is not for a terminal."""
+
+
+def terminal_width() -> int | None:
+    """Columns of the terminal that standard output is; None where it is none, so that lines stay whole."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 QUIET = 10.0

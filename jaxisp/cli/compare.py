@@ -1,6 +1,7 @@
 """`jaxisp compare`: two reports of one kind side by side."""
 
 from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, print_json, print_table, say
@@ -22,7 +23,9 @@ def run(arguments: Namespace) -> int:
 
     result = compare(arguments.first, arguments.second)
     if arguments.out:
-        path = output_file(arguments.out, (arguments.first, arguments.second))
+        given = [Path(arguments.first), Path(arguments.second)]
+        reports = [folder / name for folder in given for name in ("report.json", "report.html")]
+        path = output_file(arguments.out, [*given, *reports])
         comparison_page(result).write(path)
     if arguments.json:
         print_json({**result, "page": arguments.out})

@@ -8,9 +8,13 @@ from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "degrade", run, "make noisy training images out of clean ones")
+    command = add_command(
+        commands, "degrade", run, "make noisy training images out of clean ones", draws=True
+    )
     command.add_argument("inputs", nargs="+", metavar="IN", help="clean images, or folders of them")
-    command.add_argument("-o", "--out", required=True, metavar="DIR", help="output folder, a data set")
+    command.add_argument(
+        "-o", "--out", required=True, metavar="DIR", help="output folder, a data set of one recipe and seed"
+    )
     command.add_argument(
         "--recipe",
         required=True,
@@ -44,7 +48,7 @@ def run(arguments: Namespace) -> int:
     result = done.as_dict()
     if arguments.json:
         print_json(result)
-    else:
+    elif done.images or done.kept:
         rate = f"{done.seconds:.1f} s ({done.images_per_second:.1f} a second)"
         kept = f", {done.kept} kept" if done.kept else ""
         say(f"{done.images} images in {rate}{kept} -> {arguments.out}")

@@ -8,7 +8,11 @@ from jaxisp.cli.common import add_command, print_json, progress, say
 
 def add_commands(commands: Any) -> None:
     command = add_command(
-        commands, "demo", run, "pairs, fit, degrade, train, diagnose, on data that comes with the package"
+        commands,
+        "demo",
+        run,
+        "pairs, fit, degrade, train, diagnose, on data that comes with the package",
+        draws=True,
     )
     command.add_argument("--out", default="demo", metavar="DIR", help="output folder (default ./demo)")
 

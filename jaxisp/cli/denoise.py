@@ -1,6 +1,7 @@
 """`jaxisp denoise`: apply the network that comes with the package, or a trained run."""
 
 from argparse import ArgumentTypeError, Namespace
+from pathlib import Path
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, progress, report_failures, say
@@ -42,10 +43,13 @@ def add_network_options(command: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
+    from jaxisp.io import filled_folder
     from jaxisp.models.apply import denoise_files
 
     denoiser, model = find_denoiser(arguments)
-    with progress("denoising") as tick:
+    out = Path(arguments.out)
+    folder = out.parent if out.suffix.lower() == ".png" and not out.is_dir() else out
+    with filled_folder(folder, keep=False), progress("denoising") as tick:
         result = denoise_files(
             denoiser,
             arguments.inputs,
@@ -58,7 +62,7 @@ def run(arguments: Namespace) -> int:
     if arguments.json:
         reasons = [{"file": name, "reason": reason} for name, reason in failed]
         print_json({**result, "model": model, "failed": reasons})
-    else:
+    elif result["images"]:
         say(f"{result['images']} pictures in {result['seconds']:.1f} s -> {arguments.out}")
     return report_failures(failed)
 

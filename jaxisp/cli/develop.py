@@ -7,11 +7,11 @@ from jaxisp.cli.common import add_command, print_json, say, warn
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "develop", run, "render a RAW file")
+    command = add_command(commands, "develop", run, "render a RAW file", draws=True)
     command.add_argument(
         "raw", metavar="RAW", help="a Bayer or X-Trans RAW that LibRaw opens, or NAME.raw.npy"
     )
-    command.add_argument("-o", "--out", required=True, metavar="OUT.png")
+    command.add_argument("-o", "--out", required=True, metavar="OUT.png", help="the picture to write")
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="a camera written by jaxisp fit (default: a plain one)"
     )
@@ -21,19 +21,24 @@ def add_commands(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
+    from jaxisp.errors import InputError
+    from jaxisp.io.files import filled_file
+
+    if not arguments.out.lower().endswith(".png"):
+        raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
+    with filled_file(arguments.out, [arguments.raw]):
+        return _render(arguments)
+
+
+def _render(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.camera import develop
     from jaxisp.cfa import is_xtrans
-    from jaxisp.errors import InputError
     from jaxisp.fit.seen import unseen
     from jaxisp.io import read_raw, write_png
-    from jaxisp.io.files import check_output, real_paths
     from jaxisp.recipe import Recipe, check_traces
 
-    if not arguments.out.lower().endswith(".png"):
-        raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
-    check_output(arguments.out, real_paths([arguments.raw]))
     camera = Recipe.load(arguments.camera) if arguments.camera else None
     if camera:
         check_traces(camera)

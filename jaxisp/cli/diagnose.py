@@ -18,7 +18,9 @@ from jaxisp.cli.common import (
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "diagnose", run, "name the effects that a simulated camera lacks")
+    command = add_command(
+        commands, "diagnose", run, "name the effects that a simulated camera lacks", draws=True
+    )
     command.add_argument(
         "dataset", metavar="DATASET", help="a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs"
     )

@@ -18,6 +18,7 @@ from jaxisp.cli.common import (
     warn,
 )
 from jaxisp.cli.devices import add_devices, join, use_cores
+from jaxisp.errors import InputError
 
 
 def add_commands(commands: Any) -> None:
@@ -28,7 +29,11 @@ def add_commands(commands: Any) -> None:
         "states what the files do not: camera, iso, [raw] of NAME.raw.npy"
     )
     command.add_argument("dataset", metavar="DATASET", help="a folder of RAW+JPEG pairs")
-    command.add_argument("-o", "--out", required=True, metavar="CAMERA.toml")
+    command.add_argument(
+        "-o", "--out", required=True, metavar="CAMERA.toml",
+        help="the camera to write, for develop, recipe and diagnose; what a fit that is stopped has done is "
+        "kept beside it, in CAMERA.toml.partial, and the same command goes on from there",
+    )  # fmt: skip
     command.add_argument(
         "--report",
         metavar="DIR",
@@ -143,8 +148,7 @@ def _places(arguments: Namespace) -> Iterator[None]:
     from jaxisp.io.locks import locked
 
     with ExitStack() as stack:
-        inputs = [Path(arguments.dataset, "dataset.toml")]
-        inputs += [Path(given) for given in (arguments.start, arguments.noise) if given]
+        inputs = _inputs(arguments)
         stack.enter_context(filled_file(arguments.out, inputs))
         if arguments.recipe:
             stack.enter_context(filled_file(arguments.recipe, [*inputs, arguments.out]))
@@ -154,6 +158,19 @@ def _places(arguments: Namespace) -> Iterator[None]:
                 stack.enter_context(locked(report, name=".report.lock", doing="fitting"))
             output_file(report / "report.html")
         yield
+
+
+def _inputs(arguments: Namespace) -> list[Path]:
+    """The files that are read, which no result may replace."""
+    from jaxisp.io import open_dataset
+
+    inputs = [Path(arguments.dataset, "dataset.toml")]
+    inputs += [Path(given) for given in (arguments.start, arguments.noise) if given]
+    try:
+        pairs = open_dataset(arguments.dataset, kind="raw+jpeg").pairs
+    except InputError:  # told where it is fitted
+        return inputs
+    return inputs + [path for pair in pairs for path in (pair.raw, pair.output) if path]
 
 
 def _fitted(arguments: Namespace) -> Any:

@@ -1,9 +1,10 @@
 """`jaxisp stages`, `jaxisp effects` and `jaxisp recipes`: listings."""
 
+import sys
 from argparse import Namespace
 from typing import Any
 
-from jaxisp.cli.common import add_command, print_json, print_table, say
+from jaxisp.cli.common import add_command, print_json, print_table, say, terminal_width
 from jaxisp.errors import InputError, meant
 
 
@@ -18,7 +19,8 @@ def add_commands(commands: Any) -> None:
         help="a stage to show whole, a group to list, or a word to look for in names and summaries",
     )
     add_command(commands, "effects", run_effects, "list the effects that a diagnosis tries")
-    add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
+    recipes = add_command(commands, "recipes", run_recipes, "list the built-in recipes and what they draw")
+    recipes.add_argument("names", nargs="*", metavar="RECIPE", help="a recipe to show, or a word in its name")
 
 
 def run_stages(arguments: Namespace) -> int:
@@ -54,14 +56,14 @@ def _print_groups(stages: list[dict[str, Any]]) -> None:
     """A line for each stage, group by group in the order of a camera."""
     from jaxisp.catalogue import GROUPS, first_sentence, group_of
 
-    width = max(len(s["name"]) for s in stages)
+    width, most = max(len(s["name"]) for s in stages), terminal_width() or sys.maxsize
     for group, what in GROUPS.items():
         own = [s for s in stages if group_of(s["name"]) == group]
         if own:
             say(f"{group}: {what}")
         for s in own:
             line = f"  {s['name']:<{width}}  {' '.join(first_sentence(s['summary']).split())}"
-            say(line if len(line) <= 110 else f"{line[:107].rstrip()}...")
+            say(line if len(line) <= most else f"{line[: most - 3].rstrip()}...")
     parameters = sum(len(s["params"]) for s in stages)
     say(f"{len(stages)} stages, {parameters} parameters; jaxisp stages NAME shows one whole")
 
@@ -100,7 +102,9 @@ def run_effects(arguments: Namespace) -> int:
 def run_recipes(arguments: Namespace) -> int:
     from jaxisp.catalogue import describe_recipes
 
-    recipes = describe_recipes()
+    known = {recipe["name"]: recipe for recipe in describe_recipes()}
+    found = [_recipes_of(known, name) for name in arguments.names] or [list(known)]
+    recipes = [known[name] for name in dict.fromkeys(name for own in found for name in own)]
     if arguments.json:
         print_json(recipes)
         return 0
@@ -111,3 +115,12 @@ def run_recipes(arguments: Namespace) -> int:
             print_table(("  parameter", "drawn from"), drawn)
         say()
     return 0
+
+
+def _recipes_of(known: dict[str, Any], word: str) -> list[str]:
+    """The recipe of a name; else those with the word in their name."""
+    found = [word] if word in known else [name for name in known if word.lower() in name]
+    if not word or not found:
+        hint = meant(word, known) or f"; there are {', '.join(known)}"
+        raise InputError(f"no recipe named {word!r}{hint}")
+    return found

@@ -44,18 +44,18 @@ def _factor(text: str) -> float:
 
 
 def run(arguments: Namespace) -> int:
-    from jaxisp.io.files import check_output, real_paths
+    from jaxisp.io.files import filled_file
 
     noise = [arguments.noise] if arguments.noise else []
     if arguments.iso is not None and not noise:
         raise InputError("--iso needs --noise NOISE.toml")
-    check_output(arguments.out, real_paths([*arguments.cameras, *noise]))
-    recipe = _recipe(arguments)
-    if noise:
-        from jaxisp.calibrate import Calibrated, with_noise
+    with filled_file(arguments.out, [*arguments.cameras, *noise]):
+        recipe = _recipe(arguments)
+        if noise:
+            from jaxisp.calibrate import Calibrated, with_noise
 
-        recipe = with_noise(recipe, Calibrated.load(arguments.noise).at(arguments.iso))
-    recipe.save(arguments.out)
+            recipe = with_noise(recipe, Calibrated.load(arguments.noise).at(arguments.iso))
+        recipe.save(arguments.out)
     if arguments.json:
         print_json({"recipe": arguments.out, "cameras": arguments.cameras, "noise": arguments.noise})
     else:

@@ -40,7 +40,7 @@ _SETTINGS = (
 
 
 def add_commands(commands: Any) -> None:
-    command = add_command(commands, "train", run, "train a denoiser on pairs degraded on the fly")
+    command = add_command(commands, "train", run, "train a denoiser on pairs degraded on the fly", draws=True)
     command.set_defaults(seed=None)
     command.add_argument(
         "--clean", nargs="+", metavar="DIR", help="folders of clean photographs, searched recursively"

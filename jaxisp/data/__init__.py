@@ -23,3 +23,4 @@ __all__ = [
     "load_clean",
     "patches",
 ]
+__dir__ = __all__.copy  # what an editor completes

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from jaxisp.checks import check_whole
 from jaxisp.color import linear_to_srgb, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
@@ -75,6 +76,8 @@ def load_clean(
     Raises:
         InputError: no folder, or no photograph that can be used.
     """
+    for name, value in (("patch", patch), ("downsample", downsample), ("per_image", per_image)):
+        check_whole(name, value, 1)
     files = find_images(paths, recursive=True)
     names: list[str] = []
     images: list[np.ndarray] = []

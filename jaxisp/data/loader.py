@@ -10,8 +10,9 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxisp.checks import check_whole
 from jaxisp.data.clean import load_clean
-from jaxisp.data.sources import CleanPatches, degrade_key
+from jaxisp.data.sources import CleanPatches, check_source, degrade_key
 from jaxisp.recipe import check_levels
 from jaxisp.recipes import RecipeLike, find_degradation
 
@@ -55,6 +56,8 @@ class Batches:
         ahead: int = 2,
         mesh: Mesh | None = None,
     ) -> None:
+        check_source("Batches", source, batch)
+        check_whole("start", start, 0)
         self.source, self.batch, self.mesh = source, batch, mesh
         self.next, self._loading = start, start  # the batch that comes next, and that is cut next
         degrade = degrader(recipe, degrade_key(seed), mesh)

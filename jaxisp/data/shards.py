@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from jaxisp import __version__
+from jaxisp.checks import check_whole
 from jaxisp.data.shard_source import (
     MANIFEST,
     MOST_SHARDS,
@@ -26,7 +27,7 @@ from jaxisp.data.shard_source import (
     shard_name,
     stands,
 )
-from jaxisp.errors import InputError, one_line
+from jaxisp.errors import InputError, one_line, short
 from jaxisp.generate import Degraded, Outcome, Tick, Work
 from jaxisp.io.digests import digest_of, sealed_json
 from jaxisp.io.files import atomic_write, check_output, write_new, write_text
@@ -74,10 +75,13 @@ def degrade_shards(
             writes one of these shards; or array_record is not installed.
     """
     array_record()
-    if not 1 <= shards <= MOST_SHARDS:
+    check_whole("shards", shards, 1)
+    if shards > MOST_SHARDS:
         raise InputError(f"{shards} shards: expected 1 to {MOST_SHARDS}")
     out, outcome, clock = Path(out), Outcome(), time.perf_counter()
     numbers = list(range(shards) if only is None else only)
+    if wrong := [s for s in numbers if s not in range(shards)]:
+        raise InputError(f"only = {short(wrong)}: shards are counted from 0 to {shards - 1}")
     with locked(out, shared=True):
         with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
             _write_plan(work, out, shards, numbers)
@@ -120,9 +124,11 @@ def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
     if before:
         for key in plan:
             if plan[key] != before.get(key) and key != "jaxisp":
-                what = (
-                    "other inputs" if key == "inputs" else f"{key} = {before.get(key)!r}, not {plan[key]!r}"
-                )
+                other = {
+                    "inputs": "other inputs",
+                    "recipe_sha256": f"another recipe named {plan['recipe']!r}",
+                }
+                what = other.get(key, f"{key} = {before.get(key)!r}, not {plan[key]!r}")
                 raise InputError(f"{out}: holds shards of {what}; choose another folder")
         return
     write_new(out / RECIPE, work.degradation.to_toml())

@@ -7,7 +7,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxisp.checks import check_whole
 from jaxisp.data.clean import CleanImages, load_clean
+from jaxisp.errors import InputError, short
 from jaxisp.recipes import RecipeLike, find_degradation
 
 
@@ -36,6 +38,12 @@ class CleanPatches:
         fresh: bool = True,
         augment: bool = True,
     ) -> None:
+        if not hasattr(images, "images"):
+            raise InputError(
+                f"CleanPatches takes what load_clean(FOLDER, patch={short(size)}) reads, got {short(images)}"
+            )
+        check_whole("size", size, 1)
+        check_whole("per_image", per_image, 1)
         self.images, self.size, self.per_image = images, size, per_image
         self.seed, self.fresh, self.augment = seed, fresh, augment
         self._epoch = (-1, np.zeros(0, np.int64))
@@ -97,6 +105,7 @@ class DegradedBatches:
     def __init__(
         self, patches: CleanPatches, recipe: RecipeLike, *, batch: int = 32, seed: int = 0, epochs: int = 1
     ) -> None:
+        check_source("DegradedBatches", patches, batch)
         self.patches, self.recipe = patches, find_degradation(recipe)
         self.batch, self.seed, self.epochs = batch, seed, epochs
 
@@ -114,6 +123,16 @@ class DegradedBatches:
         clean = self.patches.batch(range(start, start + self.batch))
         noisy, _, _ = self.recipe.degrade(degrade_key(self.seed), clean, start)
         return {"noisy": np.asarray(noisy), "clean": clean}
+
+
+def check_source(who: str, source: Any, batch: Any) -> None:
+    """Raise InputError where what gives clean patches, or the size of a batch, is none."""
+    if not hasattr(source, "batch"):
+        raise InputError(
+            f"{who} takes what has batch(indices), as CleanPatches, got {short(source)}; "
+            "of a folder jaxisp.data.batches makes batches"
+        )
+    check_whole("batch", batch, 1)
 
 
 def degrade_key(seed: int) -> jax.Array:
@@ -148,6 +167,8 @@ def patches(
     Raises:
         InputError: no photograph that can be used.
     """
+    check_whole("batch", batch, 1)
+    check_whole("start", start, 0)
     images = load_clean(folder, patch=size, downsample=downsample, per_image=per_image, seed=seed)
     source = CleanPatches(images, size, per_image=per_image, seed=seed)
     return _batches(source, batch, start)

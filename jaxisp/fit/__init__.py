@@ -16,3 +16,4 @@ __all__ = [
     "fit_examples",
     "prior_from_cameras",
 ]
+__dir__ = __all__.copy  # what an editor completes

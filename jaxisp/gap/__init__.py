@@ -14,3 +14,4 @@ __all__ = [
     "diagnose_folder",
     "register_effect",
 ]
+__dir__ = __all__.copy  # what an editor completes

@@ -8,3 +8,4 @@ from jaxisp.interop.examples import DegradeExamples
 from jaxisp.interop.isp_model import IspModel
 
 __all__ = ["DegradeExamples", "IspModel"]
+__dir__ = __all__.copy  # what an editor completes

@@ -40,3 +40,4 @@ __all__ = [
     "write_jpeg",
     "write_png",
 ]
+__dir__ = __all__.copy  # what an editor completes

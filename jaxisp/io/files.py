@@ -11,7 +11,7 @@ import sys
 import tempfile
 import tomllib
 import warnings
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -289,22 +289,20 @@ def write_text(path: PathLike, text: str) -> None:
         file.write(text.encode(errors="backslashreplace"))
 
 
-def write_new(path: PathLike, text: str, own: Callable[[str], bool] = lambda before: False) -> None:
-    """`write_text` for what is written beside the outputs that a call names: it replaces only its own.
+def write_new(path: PathLike, text: str) -> None:
+    """`write_text` for what is written beside the outputs that a call names: it replaces nothing.
 
     Raises:
-        InputError: another text stands there, which is not one that `own` tells to be ours.
+        InputError: another text stands there.
     """
-    check_new(path, text, own)
+    check_new(path, text)
     write_text(path, text)
 
 
-def check_new(path: PathLike, text: str, own: Callable[[str], bool] = lambda before: False) -> None:
+def check_new(path: PathLike, text: str) -> None:
     """Raise InputError where `write_new` would."""
-    if os.path.lexists(path):
-        before = read_text(path)
-        if before != text and not own(before):
-            raise InputError(f"{path}: stands there already and would be replaced; choose another folder")
+    if os.path.lexists(path) and read_text(path) != text:
+        raise InputError(f"{path}: stands there already and would be replaced; choose another folder")
 
 
 def _check_replaceable(path: Path) -> None:
@@ -370,6 +368,8 @@ def output_folder(path: PathLike) -> Path:
     path = sound_path(path)
     if leads_nowhere(path):
         raise InputError(f"{path}: cannot be written: is a link that leads nowhere")
+    if os.path.isfile(path):
+        raise InputError(f"{path}: is a file, expected a folder")
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind
@@ -378,17 +378,26 @@ def output_folder(path: PathLike) -> Path:
 
 
 @contextlib.contextmanager
-def filled_folder(path: PathLike) -> Iterator[Path]:
-    """`output_folder` for what is written at the end; an error before leaves none that is new and empty."""
+def filled_folder(path: PathLike, *, keep: bool = True) -> Iterator[Path]:
+    """`output_folder` for what is written at the end; an error before leaves none that is new and empty.
+
+    Without `keep` none is left where nothing was written either, for whom it is no error.
+    """
     path = Path(path)
     new = [folder for folder in (path, *path.parents) if not os.path.exists(folder)]
     try:
         yield output_folder(path)
     except BaseException:
-        for folder in new:
-            with contextlib.suppress(OSError):  # it has something in it
-                folder.rmdir()
+        _remove_empty(new)
         raise
+    if not keep:
+        _remove_empty(new)
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):  # it has something in it
+            folder.rmdir()
 
 
 def output_file(path: PathLike, inputs: Iterable[PathLike] = ()) -> Path:

@@ -102,3 +102,4 @@ __all__ = [
     "read_network",
     "save_network",
 ]
+__dir__ = __all__.copy  # what an editor completes

@@ -4,3 +4,4 @@ from jaxisp.samples.phone import PHONES, Phone, shoot, write_clean_noisy, write_
 from jaxisp.samples.scenes import scene, scene_names, scenes
 
 __all__ = ["PHONES", "Phone", "scene", "scene_names", "scenes", "shoot", "write_clean_noisy", "write_pairs"]
+__dir__ = __all__.copy  # what an editor completes

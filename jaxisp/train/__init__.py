@@ -38,3 +38,4 @@ __all__ = [
     "train",
     "weights",
 ]
+__dir__ = __all__.copy  # what an editor completes

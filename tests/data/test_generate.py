@@ -42,8 +42,43 @@ def test_resumed_is_undisturbed(photos, tmp_path):
     again = degrade_files([photos], out, recipe, count=2, seed=1, resume=True)
     assert (again.images, again.kept) == (3, 5) and contents(out) == contents(whole)
     assert [p.name for p in out.glob(".*.tmp")] == [".mine.tmp"]
-    assert degrade_files([photos], out, recipe, count=2, seed=2, resume=True).kept == 0
-    assert contents(out) != contents(whole)
+
+
+def test_a_folder_holds_one_data_set(photos, tmp_path):
+    """Nothing tells the samples of two runs apart once they stand in one folder."""
+    awgn, out = RECIPES["awgn"](), tmp_path / "out"
+    degrade_files([photos], out, awgn, count=2, seed=1)
+    before = contents(out)
+    quiet = awgn.override(gaussian_noise={"std": 0.01})
+    for again, settings, what in (
+        ("amwgn", {"seed": 1}, "holds a data set of the recipe 'awgn', and this run is of 'amwgn', seed 1"),
+        (quiet, {"seed": 1}, "this run is of 'awgn-edited', seed 1"),
+        (quiet.named("awgn"), {"seed": 1}, "holds samples of other numbers of the recipe 'awgn', seed 1"),
+        (awgn, {"seed": 2}, "holds samples of the recipe 'awgn', seed 1, and this run is of 'awgn', seed 2"),
+        (awgn, {"seed": 1, "count": 1}, "holds more than 1 versions of -dash"),
+    ):
+        for resume in (False, True):
+            with pytest.raises(InputError, match=f"{what}.*; choose another folder, or empty this one"):
+                degrade_files([photos], out, again, resume=resume, **{"count": 2, **settings})
+    with pytest.raises(InputError, match="is an input too"):
+        degrade_files([out], out, awgn, seed=1)
+    assert contents(out) == before
+    (out / "dataset.toml").unlink()  # as after a run that was killed
+    (out / "-dash_000.toml").write_text("cut sho")
+    with pytest.raises(InputError, match="holds samples of the recipe 'awgn'"):
+        degrade_files([photos], out, "amwgn", count=2, seed=1)
+    assert degrade_files([photos], out, awgn, count=2, seed=1).images == 8 and contents(out) == before
+    assert degrade_files([photos], out, awgn, count=3, seed=1, start=5).images == 12
+
+
+def test_where_nothing_can_be_used_no_folder_is_left(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.jpg").write_bytes(b"\xff\xd8 not a picture")
+    assert len(degrade_files([tmp_path / "in"], tmp_path / "new" / "out", "awgn").failed) == 1
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "out").mkdir()
+    degrade_files([tmp_path / "in"], tmp_path / "out", "awgn")
+    assert (tmp_path / "out").is_dir() and not contents(tmp_path / "out")
 
 
 def test_programs_that_are_forgotten_between_sizes_change_no_bit(tmp_path, monkeypatch):
@@ -134,3 +169,56 @@ def test_a_read_only_folder_is_one_line(photos, tmp_path):
             degrade_files([photos], out, RECIPES["awgn"]())
         with pytest.raises(InputError, match="cannot be written"):
             write_png(out / "a.png", np.zeros((2, 2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seed": "1"}, "seed must be a whole number from 0 on, got '1'"),
+        ({"seed": -1}, "seed must be a whole number from 0 on"),
+        ({"seed": 2**32}, "seeds go from 0 to 4294967295"),
+        ({"count": 0}, "count must be a whole number from 1 on, got 0"),
+        ({"count": 1.5}, "count must be a whole number from 1 on"),
+        ({"start": -1}, "start must be a whole number from 0 on"),
+        ({"start": 2**31 - 2}, "sample indices go from 0 to 2147483646"),
+    ],
+    ids=str,
+)
+def test_settings_that_no_run_has(photos, tmp_path, settings, message):
+    with pytest.raises(InputError, match=message):
+        degrade_files(photos, tmp_path / "out", "awgn", **settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_may_be_given_alone_and_is_no_output(photos):
+    with pytest.raises(InputError, match="is an input too"):
+        degrade_files(str(photos), photos, "awgn")
+
+
+def test_shards_that_are_not(photos, tmp_path):
+    pytest.importorskip("array_record")
+    from jaxisp.data import degrade_shards
+
+    for shards, only, message in (
+        (0, None, "shards must be a whole number from 1 on"),
+        ("2", None, "shards must be"),
+        (2, [0, 5], r"only = \[5\]: shards are counted from 0 to 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            degrade_shards(Work([photos], "awgn"), tmp_path / "out", shards, only=only)
+    assert not (tmp_path / "out").exists()
+
+
+def test_shards_of_an_edited_recipe_are_told_apart(photos, tmp_path):
+    pytest.importorskip("array_record")
+    from jaxisp.data import degrade_shards
+
+    awgn = RECIPES["awgn"]()
+    degrade_shards(Work([photos], awgn), tmp_path, 2, only=[])
+    edited = awgn.override(gaussian_noise={"std": 0.01})
+    for other, what in (
+        (edited, "recipe = 'awgn', not 'awgn-edited'"),
+        (edited.named("awgn"), "another recipe named 'awgn'"),
+    ):
+        with pytest.raises(InputError, match=f"holds shards of {what}; choose another folder"):
+            degrade_shards(Work([photos], other), tmp_path, 2, only=[])
