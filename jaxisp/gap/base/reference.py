@@ -17,13 +17,15 @@ from jaxisp.gap.base.plain_raw import Base, plain_parts, raw_model, stated_gains
 from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.pairs.file_noise import file_noise
 from jaxisp.gap.pairs.headers import raws_of
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import split_of
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Model, build
-from jaxisp.gap.simulator.remainder import REMAINDER, Remainder, with_remainder
+from jaxisp.gap.simulator.remainder import FILE_NOISE, REMAINDER, Remainder, with_remainder
 from jaxisp.gap.simulator.render import Kept, render
+from jaxisp.io import Jpeg
 from jaxisp.io.datasets import Loaded
 from jaxisp.pipeline import Params
 from jaxisp.stages.balance import WhiteBalance
@@ -96,7 +98,8 @@ def taken_over(
     if not same:
         return OnReference(model, _gap(fitted.model, theirs), None, fitted.unidentifiable)
     pictures = raw_pairs(same).pictures
-    return OnReference(_with_pictures(model, pairs, pictures), None, pictures, fitted.unidentifiable)
+    model = _with_pictures(model, pairs, pictures, [p.jpeg for p in same])
+    return OnReference(model, None, pictures, fitted.unidentifiable)
 
 
 def _taken_over(
@@ -114,7 +117,7 @@ def _taken_over(
         balance = per_pair["mosaic_white_balance"]
         neutral = WhiteBalance(gains=np.ones_like(balance.gains))
         per_pair |= {"mosaic_white_balance": neutral, "later_balance": balance}
-    chain, added = with_remainder(chain, len(loaded), pairs.mask.shape[1:])
+    chain, added = with_remainder(chain, len(loaded), pairs.mask.shape[1:], of_file=True)
     stated = {"chroma_subsampling"}
     own = {name: v for name, v in fitted.shared.items() if name in params and name not in stated}
     model = build(chain, params | own, per_pair | added, [], effects)
@@ -124,11 +127,16 @@ def _taken_over(
     return dataclasses.replace(model, effects={name: moves for name, moves in moving.items() if moves})
 
 
-def _with_pictures(model: Model, pairs: Pairs, pictures: np.ndarray) -> Model:
-    """The model that makes exactly these pictures (N, H, W, 3) while its effects are off."""
+def _with_pictures(model: Model, pairs: Pairs, pictures: np.ndarray, files: Sequence[Jpeg | None]) -> Model:
+    """The model that makes exactly these pictures (N, H, W, 3) while its effects are off.
+
+    Effects act on them less what their files did to them, as far as frequencies tell.
+    """
     z = np.zeros(len(model.coordinates))
     made = render(model.chain, model.params(z), model.per_pair, pairs.light, None, Kept())
-    per_pair: Params = {REMAINDER: Remainder(added=np.asarray(pictures - made, np.float32))}
+    beyond = np.asarray(pictures - made, np.float32)
+    noise = file_noise(beyond, pictures, files)
+    per_pair: Params = {REMAINDER: Remainder(added=beyond - noise), FILE_NOISE: Remainder(added=noise)}
     return dataclasses.replace(model, per_pair=model.per_pair | per_pair, kept=Kept())
 
 

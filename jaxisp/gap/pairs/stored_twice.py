@@ -37,7 +37,7 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
         total += to_steps(back[INNER]) - to_steps(first[INNER])
     if any(file is None for own in files for file in own):
         return total  # what is not quantised in blocks
-    change, whole = _blocks(to_steps(second[INNER]) - to_steps(first[INNER])), _blocks(total)
+    change, whole = blocks_of(to_steps(second[INNER]) - to_steps(first[INNER])), blocks_of(total)
     moved = np.abs(change) >= _SAME
     stay = 1 - moved.mean((0, 1, 3))
     both = (whole**2).mean((0, 1, 3)) + 1e-9
@@ -50,7 +50,7 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     return total
 
 
-def _blocks(pictures: np.ndarray) -> np.ndarray:
+def blocks_of(pictures: np.ndarray) -> np.ndarray:
     """(N, h / 8, 8, w / 8, 8, 3) coefficients of whole 8x8 blocks."""
     n, height, width = (s // 8 * 8 if i else s for i, s in enumerate(pictures.shape[:3]))
     blocks = pictures[:, :height, :width].reshape(n, height // 8, 8, width // 8, 8, 3)
