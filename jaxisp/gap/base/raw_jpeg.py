@@ -14,7 +14,7 @@ from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, 
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
 from jaxisp.gap.base.plain_raw import Base, raw_model
 from jaxisp.gap.base.reference import OnReference, on_reference
-from jaxisp.gap.case import Case, Floor, Tick
+from jaxisp.gap.case import Case, Floor, Gap, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
@@ -163,7 +163,7 @@ def raw_case(
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unidentifiable}
     files = [p.jpeg for p in loaded]
-    stored, floors, left = _floors(objective, at, (files, [p.jpeg for p in same]), taken)
+    stored, floors, left = _floors(objective, at, (files, [p.jpeg for p in same]), taken, criteria)
 
     def floor_at(point: Point) -> Floor:
         units, held = objective.floor_units(objective.floor_difference(point, files)), list(split.held_out)
@@ -190,21 +190,35 @@ def _floors(
     at: Point,
     files: tuple[Sequence[Jpeg | None], Sequence[Jpeg | None]],
     taken: OnReference | None,
+    criteria: Criteria,
 ) -> tuple[np.ndarray, np.ndarray, float | None]:
     """What a right simulator would leave; of the files, and of the reference's of the same RAWs.
+
+    Two files with one header that come from one RAW are the same where nothing has changed. So there is a gap
+    though it be no larger than what two compressions leave; all of it counts then.
 
     Returns:
         (N, h, w, 3) what the files do to the pictures; (N,) the gap of each pair; the gap of the reference.
     """
     if taken is not None and taken.same is not None:
         stored = stored_twice(taken.same, objective.pairs.pictures, files[::-1])
-        floors = objective.mean_squares(stored * objective.weight)
-        return stored, floors, float(floors[list(objective.split.held_out)].mean())
+        floors, held = objective.mean_squares(stored * objective.weight), list(objective.split.held_out)
+        gap = Gap(float(at.errors[held].mean()), float(floors[held].mean()), criteria.least_unit)
+        if all(map(_one_header, *files)) and not gap.exceeds(criteria.null_drop):
+            floors = np.zeros_like(floors)
+        return stored, floors, float(floors[held].mean())
     stored = objective.floor_difference(at, files[0])
     floors = objective.floor_errors(stored)
     if taken is None or taken.gap is None:
         return stored, floors, None
     return stored, np.maximum(floors, taken.gap), taken.gap
+
+
+def _one_header(one: Jpeg | None, other: Jpeg | None) -> bool:
+    """Whether two files quantise and sample alike."""
+    if one is None or other is None:
+        return one is other
+    return one.subsampling == other.subsampling and np.array_equal(one.tables, other.tables)
 
 
 def _given(camera: Recipe | None, on_reference: bool) -> str | None:

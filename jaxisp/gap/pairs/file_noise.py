@@ -6,12 +6,12 @@ import numpy as np
 from scipy.fft import idctn
 
 from jaxisp.gap.pairs.pairs import to_rgb, to_steps
-from jaxisp.gap.pairs.stored import as_stored
+from jaxisp.gap.pairs.stored import quantised_off_grid
 from jaxisp.gap.pairs.stored_twice import blocks_of
 from jaxisp.io import Jpeg
 
-_OFF_GRID = (3, 5)
-"""Rows and columns by which a picture is moved before it is compressed: on its own grid nothing is lost."""
+_OFF_GRID = (6, 10)
+"""Rows and columns by which a picture is moved before it is compressed."""
 
 
 def file_noise(beyond: np.ndarray, pictures: np.ndarray, files: Sequence[Jpeg | None]) -> np.ndarray:
@@ -26,9 +26,7 @@ def file_noise(beyond: np.ndarray, pictures: np.ndarray, files: Sequence[Jpeg | 
         pictures: (N, H, W, 3) encoded, their 8x8 blocks at the top-left corner.
         files: their headers.
     """
-    moved = np.roll(pictures, _OFF_GRID, (1, 2))
-    lost = to_steps(np.stack([as_stored(p, f) for p, f in zip(moved, files)])) - to_steps(moved)
-    own, added = blocks_of(to_steps(beyond)), blocks_of(lost)
+    own, added = blocks_of(to_steps(beyond)), blocks_of(quantised_off_grid(pictures, files, _OFF_GRID))
     energies = [(b**2).mean((0, 1, 3)) for b in (added, own)]
     share = np.minimum(energies[0] / (energies[1] + 1e-9), 1)
     made = idctn(own * share[:, None], axes=(2, 4), norm="ortho")
