@@ -10,7 +10,7 @@ from jaxisp.gap.pairs.stored import quantised_off_grid
 from jaxisp.gap.pairs.stored_twice import blocks_of
 from jaxisp.io import Jpeg
 
-_OFF_GRID = (6, 10)
+_OFF_GRID = (3, 5)
 """Rows and columns by which a picture is moved before it is compressed."""
 
 
@@ -26,7 +26,8 @@ def file_noise(beyond: np.ndarray, pictures: np.ndarray, files: Sequence[Jpeg | 
         pictures: (N, H, W, 3) encoded, their 8x8 blocks at the top-left corner.
         files: their headers.
     """
-    own, added = blocks_of(to_steps(beyond)), blocks_of(quantised_off_grid(pictures, files, _OFF_GRID))
+    added = blocks_of(quantised_off_grid(pictures, files, _OFF_GRID, back=False))
+    own = blocks_of(to_steps(beyond))
     energies = [(b**2).mean((0, 1, 3)) for b in (added, own)]
     share = np.minimum(energies[0] / (energies[1] + 1e-9), 1)
     made = idctn(own * share[:, None], axes=(2, 4), norm="ortho")

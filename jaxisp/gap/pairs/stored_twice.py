@@ -9,7 +9,7 @@ from jaxisp.gap.pairs.pairs import INNER, to_steps
 from jaxisp.gap.pairs.stored import quantised_off_grid
 from jaxisp.io import Jpeg
 
-_OFF_GRID = ((6, 10), (10, 6))
+_OFF_GRID = ((3, 3), (5, 5))
 """Rows and columns by which a picture is moved before it is compressed, once for each file."""
 _SAME = 1.5
 """Difference of coefficients [8-bit steps] that rounding of decoded pixels makes."""
