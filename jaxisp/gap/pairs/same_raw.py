@@ -52,9 +52,8 @@ def _shared(one: Loaded, other: Loaded) -> tuple[Loaded, Loaded] | None:
     if min(stop - start for start, stop in zip(starts, stops)) < SMALLEST:
         return None
     for end in (starts[0] + _GLANCE, stops[0]):
-        if not np.array_equal(
-            *(raw.mosaic[_within(raw, starts, (end, stops[1]))] for raw in (one.raw, other.raw))
-        ):
+        first, second = (r.mosaic[_within(r, starts, (end, stops[1]))] for r in (one.raw, other.raw))
+        if not np.array_equal(first, second):
             return None
     return _cut(one, one.raw, starts, stops), _cut(other, other.raw, starts, stops)
 
