@@ -393,14 +393,15 @@ def commands(found: Mapping[str, Any]) -> str:
 
 
 def beside(found: Mapping[str, Any]) -> dict[str, str]:
-    """Switches beside their camera's plain pictures: cases that the method was changed by, and others."""
+    """Switches beside their camera's plain pictures: cases that the method was changed by, before and after,
+    and others."""
     seen = [r for r in found["records"] if r["truth"]["case"] in found["seen"]]
     new = [r for r in found["records"] if r not in seen]
     return {
         "beside": switches.rates(new),
         "beside-by-case": switches.by_case(new),
-        "beside-seen": switches.rates(seen),
-        "beside-seen-by-case": switches.by_case(seen),
+        "beside-seen": switches.by_case(seen),
+        "beside-before": switches.by_case(found["before"]),
     }
 
 

@@ -42,6 +42,7 @@ def parse() -> argparse.Namespace:
     collect.add_argument("--half", choices=HALVES, required=True)
     collect.add_argument("--how", choices=HOW, default=HOW[0], help="as it was run")
     collect.add_argument("--seen", nargs="*", default=[], help="cases that the method was changed by")
+    collect.add_argument("--before", type=Path, help="what `run` wrote of these before the changes")
     return parser.parse_args()
 
 
@@ -63,6 +64,7 @@ def main() -> None:
             "half": arguments.half,
             "records": done,
             "seen": sorted(arguments.seen),
+            "before": [kept(record) for record in records(arguments.before)] if arguments.before else [],
             "not run": [case.name for case in asked if case.name not in ran],
         }
         with atomic_write(arguments.into) as file:
