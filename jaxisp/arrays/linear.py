@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
-from jax.extend.core import Primitive
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from jaxisp.arrays.dtypes import given_and_exact
@@ -22,7 +22,7 @@ from jaxisp.arrays.varying import alike
 _linear = Primitive("linear_with_transpose")
 _linear.multiple_results = True
 
-Flat = Callable[..., list[jax.Array]]
+Flat = Callable[..., Any]
 
 
 def linear_call(
@@ -43,31 +43,31 @@ def linear_call(
     residuals, x = alike((residuals, x))
     fixed, fixed_tree = jax.tree.flatten(residuals)
     moving, x_tree = jax.tree.flatten(x)
-    y_tree = jax.tree.structure(jax.eval_shape(fn, residuals, x))
 
     def flat(of: Callable[[Any, Any], Any], tree: Any) -> Flat:
-        def call(*leaves: jax.Array) -> list[jax.Array]:
+        def call(*leaves: jax.Array) -> Any:
             there = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
-            return jax.tree.leaves(of(there, jax.tree.unflatten(tree, leaves[len(fixed) :])))
+            return of(there, jax.tree.unflatten(tree, leaves[len(fixed) :]))
 
         return call
 
-    y = _linear.bind(
-        *fixed, *moving, forward=flat(fn, x_tree), backward=flat(transpose, y_tree), fixed=len(fixed)
-    )
+    # traced here and never again: nested calls would be traced three times as often a level
+    forward, shapes = jax.make_jaxpr(flat(fn, x_tree), return_shape=True)(*fixed, *moving)
+    y_tree = jax.tree.structure(shapes)
+    y = _linear.bind(*fixed, *moving, forward=forward, backward=flat(transpose, y_tree), fixed=len(fixed))
     return jax.tree.unflatten(y_tree, y)
 
 
-def _run(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[jax.Array]:
-    return forward(*leaves)
+def _run(*leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int) -> list[jax.Array]:
+    return jaxpr_as_fun(forward)(*leaves)
 
 
-def _abstract(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[Any]:
-    return list(jax.make_jaxpr(forward)(*leaves).out_avals)
+def _abstract(*leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int) -> list[Any]:
+    return list(forward.out_avals)
 
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[Any, Any]:
-    fixed, forward = how["fixed"], how["forward"]
+    fixed, forward = how["fixed"], jaxpr_as_fun(how["forward"])
     y = _linear.bind(*primals, **how)
     moved = [ad.instantiate_zeros(t) for t in tangents[fixed:]]
     change = _linear.bind(*primals[:fixed], *moved, **how)
@@ -78,20 +78,24 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[A
     return y, change
 
 
-def _transpose(cotangents: Sequence[Any], *leaves: Any, forward: Flat, backward: Flat, fixed: int) -> Any:
-    known = leaves[:fixed]
+def _transpose(
+    cotangents: Sequence[Any], *leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int
+) -> Any:
+    known, moved = leaves[:fixed], [ad.instantiate_zeros(c) for c in cotangents]
     pulled = _linear.bind(
         *known,
-        *(ad.instantiate_zeros(c) for c in cotangents),
-        forward=backward,
-        backward=forward,
+        *moved,
+        forward=jax.make_jaxpr(backward)(*known, *moved),
+        backward=jaxpr_as_fun(forward),
         fixed=fixed,
     )
     wanted = zip(pulled, leaves[fixed:])
     return [None] * fixed + [p if ad.is_undefined_primal(x) else None for p, x in wanted]
 
 
-def _batch(leaves: Sequence[Any], dims: Sequence[Any], *, forward: Flat, backward: Flat, fixed: int) -> Any:
+def _batch(
+    leaves: Sequence[Any], dims: Sequence[Any], *, forward: ClosedJaxpr, backward: Flat, fixed: int
+) -> Any:
     size = next(v.shape[d] for v, d in zip(leaves, dims) if d is not None)
 
     def front(v: Any, d: Any) -> Any:
@@ -103,10 +107,11 @@ def _batch(leaves: Sequence[Any], dims: Sequence[Any], *, forward: Flat, backwar
     axes = [None if d is None else 0 for d in dims[:fixed]]
     shared = [v if a is None else front(v, d) for v, d, a in zip(leaves, dims, axes)]
     moving = [front(v, d) for v, d in zip(leaves[fixed:], dims[fixed:])]
-    there = jax.vmap(forward, in_axes=(*axes, *[0] * len(moving)))
-    results = len(jax.eval_shape(there, *shared, *moving))
+    there = jax.vmap(jaxpr_as_fun(forward), in_axes=(*axes, *[0] * len(moving)))
+    results = len(forward.out_avals)
     back = jax.vmap(backward, in_axes=(*axes, *[0] * results))
-    return _linear.bind(*shared, *moving, forward=there, backward=back, fixed=fixed), [0] * results
+    traced = jax.make_jaxpr(there)(*shared, *moving)
+    return _linear.bind(*shared, *moving, forward=traced, backward=back, fixed=fixed), [0] * results
 
 
 _linear.def_impl(_run)
