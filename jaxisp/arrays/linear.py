@@ -5,7 +5,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,13 @@ _linear = Primitive("linear_with_transpose")
 _linear.multiple_results = True
 
 Flat = Callable[..., Any]
+
+
+class _Traced(NamedTuple):
+    """A function of arrays, and what it was traced to: this is run, and the function transformed."""
+
+    fn: Flat
+    jaxpr: ClosedJaxpr
 
 
 def linear_call(
@@ -46,47 +53,49 @@ def linear_call(
 
     def flat(of: Callable[[Any, Any], Any], tree: Any) -> Flat:
         def call(*leaves: jax.Array) -> Any:
-            there = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
-            return of(there, jax.tree.unflatten(tree, leaves[len(fixed) :]))
+            known = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
+            return of(known, jax.tree.unflatten(tree, leaves[len(fixed) :]))
 
         return call
 
-    # traced here and never again: nested calls would be traced three times as often a level
-    forward, shapes = jax.make_jaxpr(flat(fn, x_tree), return_shape=True)(*fixed, *moving)
+    # traced here for the shape and for the program: nested, it would be three times as often a level
+    there = flat(fn, x_tree)
+    jaxpr, shapes = jax.make_jaxpr(there, return_shape=True)(*fixed, *moving)
     y_tree = jax.tree.structure(shapes)
-    y = _linear.bind(*fixed, *moving, forward=forward, backward=flat(transpose, y_tree), fixed=len(fixed))
+    how = {"forward": _Traced(there, jaxpr), "backward": flat(transpose, y_tree), "fixed": len(fixed)}
+    y = _linear.bind(*fixed, *moving, **how)
     return jax.tree.unflatten(y_tree, y)
 
 
-def _run(*leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int) -> list[jax.Array]:
-    return jaxpr_as_fun(forward)(*leaves)
+def _run(*leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> list[jax.Array]:
+    return jaxpr_as_fun(forward.jaxpr)(*leaves)
 
 
-def _abstract(*leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int) -> list[Any]:
-    return list(forward.out_avals)
+def _abstract(*leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> list[Any]:
+    return list(forward.jaxpr.out_avals)
 
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[Any, Any]:
-    fixed, forward = how["fixed"], jaxpr_as_fun(how["forward"])
+    fixed, forward = how["fixed"], how["forward"].fn
     y = _linear.bind(*primals, **how)
     moved = [ad.instantiate_zeros(t) for t in tangents[fixed:]]
     change = _linear.bind(*primals[:fixed], *moved, **how)
     if any(type(t) is not ad.Zero for t in tangents[:fixed]):
         moved = [ad.instantiate_zeros(t) for t in tangents[:fixed]]
-        by_fixed = jax.jvp(lambda *r: forward(*r, *primals[fixed:]), tuple(primals[:fixed]), tuple(moved))[1]
+        by_fixed = jax.jvp(
+            lambda *r: jax.tree.leaves(forward(*r, *primals[fixed:])), tuple(primals[:fixed]), tuple(moved)
+        )[1]
         change = [a + b for a, b in zip(change, by_fixed)]
     return y, change
 
 
-def _transpose(
-    cotangents: Sequence[Any], *leaves: Any, forward: ClosedJaxpr, backward: Flat, fixed: int
-) -> Any:
+def _transpose(cotangents: Sequence[Any], *leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> Any:
     known, moved = leaves[:fixed], [ad.instantiate_zeros(c) for c in cotangents]
     pulled = _linear.bind(
         *known,
         *moved,
-        forward=jax.make_jaxpr(backward)(*known, *moved),
-        backward=jaxpr_as_fun(forward),
+        forward=_traced(backward, *known, *moved),
+        backward=forward.fn,
         fixed=fixed,
     )
     wanted = zip(pulled, leaves[fixed:])
@@ -94,7 +103,7 @@ def _transpose(
 
 
 def _batch(
-    leaves: Sequence[Any], dims: Sequence[Any], *, forward: ClosedJaxpr, backward: Flat, fixed: int
+    leaves: Sequence[Any], dims: Sequence[Any], *, forward: _Traced, backward: Flat, fixed: int
 ) -> Any:
     size = next(v.shape[d] for v, d in zip(leaves, dims) if d is not None)
 
@@ -107,11 +116,15 @@ def _batch(
     axes = [None if d is None else 0 for d in dims[:fixed]]
     shared = [v if a is None else front(v, d) for v, d, a in zip(leaves, dims, axes)]
     moving = [front(v, d) for v, d in zip(leaves[fixed:], dims[fixed:])]
-    there = jax.vmap(jaxpr_as_fun(forward), in_axes=(*axes, *[0] * len(moving)))
-    results = len(forward.out_avals)
+    there = jax.vmap(forward.fn, in_axes=(*axes, *[0] * len(moving)))
+    results = len(forward.jaxpr.out_avals)
     back = jax.vmap(backward, in_axes=(*axes, *[0] * results))
-    traced = jax.make_jaxpr(there)(*shared, *moving)
-    return _linear.bind(*shared, *moving, forward=traced, backward=back, fixed=fixed), [0] * results
+    forward = _traced(there, *shared, *moving)
+    return _linear.bind(*shared, *moving, forward=forward, backward=back, fixed=fixed), [0] * results
+
+
+def _traced(fn: Flat, *leaves: Any) -> _Traced:
+    return _Traced(fn, jax.make_jaxpr(fn)(*leaves))
 
 
 _linear.def_impl(_run)
