@@ -340,9 +340,10 @@ def _nearest(
     usual = np.quantile(nearest(left_out, own=True)[1], STRANGE)
     # what was drawn, moved by what its crop and the camera's differ in: a draw is never just like the camera
     first = effects.shape[1]
-    moved = drawn[order] + ((predicted[:, None] - left_out[order]) * spread)[..., first:]
+    inside = np.clip(predicted, left_out.min(0), left_out.max(0))  # a regression holds no further
+    moved = drawn[order] + ((inside[:, None] - left_out[order]) * spread)[..., first:]
     levels = [isinstance(law, Bernoulli | Choice) for law in laws]
-    kept = np.where(levels, drawn[order], np.clip(moved, drawn.min(0), drawn.max(0)))
+    kept = np.where(levels, drawn[order], moved)
     return _Nearest(
         told[first:], (predicted * spread + middle)[:, :first].mean(0), kept.reshape(-1, len(laws)),
         float((far > usual).mean()),
@@ -385,7 +386,9 @@ def _narrowed(law: Distribution, kept: np.ndarray) -> Distribution:
     low, high = np.quantile(kept, [(1 - WITHIN) / 2, (1 + WITHIN) / 2])
     # of values that lie as they were drawn, the range that they were drawn from
     spare = (high - low) * (1 / WITHIN - 1) / 2
-    low, high = np.clip([low - spare, high + spare], *_scaled(law, np.asarray(law.support)))
+    first, last = _scaled(law, np.asarray(law.support))
+    half = min((high - low) / 2, last - first)  # a camera beyond the range is at its end, and no point
+    low, high = np.clip(low - spare, first, last - half), np.clip(high + spare, first + half, last)
     if isinstance(law, LogUniform):
         return LogUniform(float(np.exp(low)), float(np.exp(high)))
     if isinstance(law, Normal):

@@ -138,6 +138,22 @@ def test_what_lies_as_it_was_drawn_keeps_its_range(law):
     assert abs(low - drawn[middle].min()) <= 0.1 * span and abs(high - drawn[middle].max()) <= 0.1 * span
 
 
+def test_a_camera_beyond_a_range_is_at_its_end(rng):
+    """And no point there: what is not known of it is kept."""
+    for law in (Uniform(0, 1), LogUniform(0.1, 1), Normal(0.5, 0.2, 0, 1)):
+        end = _scaled(law, np.asarray(law.support))[1]
+        found = _narrowed(law, end + rng.uniform(0.1, 0.3, 500))
+        assert found.high == pytest.approx(1) and 0.5 < found.low < 0.95
+
+
+def test_a_crop_beyond_all_draws_has_no_exact_parameter(rng):
+    """What was kept for it is as wide as what the statistics leave open, at the end of what was drawn."""
+    drawn = rng.random((300, 1))
+    statistics = drawn + 0.1 * rng.standard_normal((300, 4))
+    kept = _nearest(statistics, drawn, drawn, np.full((1, 4), 3.0), (Uniform(0, 5),)).kept
+    assert 0.05 < np.ptp(kept) < 0.5 and 0.7 < kept.mean() < 1.2
+
+
 def test_elements_of_a_vector_are_told_one_by_one(rng):
     """What is drawn evenly in a vector is so still: means of elements lie closer to the middle."""
     law = Uniform(0.0, 4.0)
