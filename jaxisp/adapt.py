@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri
 
-from jaxisp.checks import check_whole
+from jaxisp.checks import check_seed, check_whole
 from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
@@ -54,6 +54,9 @@ EFFECTS = (
 """What is predicted beside parameters: the mean standard deviation of the noise, and how much of the detail
 of the clean crops the camera passes."""
 ADAPTED = "narrowed to noisy pictures of one camera"
+TOLD = 0.05
+"""Share of its variance that must be told of a parameter whose prior is narrowed: what is kept of another is
+a few draws by chance."""
 ROUNDS = 2
 """Each draws from what the one before left."""
 STRANGE = 0.99
@@ -131,6 +134,7 @@ def adapt(
     """
     check_whole("draws", draws, 4 * FEWEST)
     check_whole("per_image", per_image, 1)
+    check_seed(seed)
     recipe = find_recipe(recipe)
     check_runs(recipe)
     laws = dict(_laws(recipe))
@@ -154,11 +158,12 @@ def adapt(
         statistics, effects, drawn = (np.concatenate(part) for part in zip(*made))
         found.append(_nearest(statistics, effects, drawn, seen, columns))
         changed: dict[str, dict[str, Any]] = {}
-        for (stage, field), values in zip(laws, np.split(found[-1].kept, ends, axis=1)):
-            changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
+        # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
+        told, strange = [float(own.mean()) for own in np.split(found[0].told, ends)], found[0].strange
+        for (stage, field), share, values in zip(laws, told, np.split(found[-1].kept, ends, axis=1)):
+            if share >= TOLD:
+                changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
         now = recipe.override(changed)
-    # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
-    told, strange = [own.mean() for own in np.split(found[0].told, ends)], found[0].strange
     about = {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}
     narrowed = dataclasses.replace(
         now,
@@ -167,7 +172,7 @@ def adapt(
         meta={**recipe.meta, "adapted": about},
     )
     priors = tuple(
-        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(float(share), 3))
+        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(share, 3))
         for ((stage, field), law), share in zip(laws.items(), told)
     )
     known = {path for path, _ in skipped}

@@ -184,9 +184,40 @@ def test_what_cannot_be_used_is_told(folders, tmp_path):
         adapt(tmp_path, CAMERAS, clean=folders / "clean", draws=64)
     with pytest.raises(InputError, match="draws must be a whole number from 64 on, got 10"):
         adapt(folders / "noisy", CAMERAS, draws=10)
+    with pytest.raises(InputError, match="seed = 4294967296: seeds go from 0 to 4294967295"):
+        adapt(folders / "noisy", CAMERAS, seed=1 << 32)
+    with pytest.raises(InputError, match="by their paths, got ndarray"):
+        adapt(np.zeros((2, 128, 128, 3), np.float32), CAMERAS)
+    light = Recipe(
+        Chain((stage("gaussian_noise"), stage("srgb_oetf")), "light"),
+        {"gaussian_noise": GaussianNoise(std=Uniform(0, 0.1))},
+    )
+    with pytest.raises(InputError, match="takes linear sRGB, not photographs"):
+        adapt(folders / "noisy", light, clean=folders / "clean")
+    with pytest.raises(InputError, match=r"after downsampling by 3 .*give other photographs as clean ones"):
+        adapt(folders / "noisy", CAMERAS)
     fixed = CAMERAS.override(gaussian_noise={"std": 0.1}, jpeg={"quality": 90.0})
     with pytest.raises(InputError, match="draws no parameter"):
         adapt(folders / "noisy", fixed, clean=folders / "clean", draws=64)
+
+
+def test_the_command_refuses_before_it_draws(folders, tmp_path, capsys):
+    """And leaves nothing; what it was given is no output."""
+    mine, out = tmp_path / "mine.toml", tmp_path / "out.toml"
+    CAMERAS.save(mine)
+    before = mine.read_text()
+    options = ["adapt", str(folders / "noisy"), "--clean", str(folders / "clean"), "--recipe", str(mine)]
+    refused = [
+        (["-o", mine], "is an input, and would be overwritten"),
+        (["-o", folders / "clean" / "0.png"], "is an input, and would be overwritten"),
+        (["-o", out, "--steps", "3"], "give --run RUN too"),
+        (["-o", out, "--run", tmp_path / "run", "--start", folders / "noisy" / "0.png"], "holds no network"),
+        (["-o", out, "--run", mine], "mine.toml"),
+    ]
+    for call, told in refused:
+        assert main([*options, *map(str, call)]) == 2
+        assert told in capsys.readouterr().err
+    assert mine.read_text() == before and list(tmp_path.iterdir()) == [mine]
 
 
 @pytest.mark.slow
