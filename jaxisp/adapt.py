@@ -18,18 +18,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import ndtr, ndtri
 
-from jaxisp.data.clean import load_clean
+from jaxisp.checks import check_seed, check_whole
+from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_image
+from jaxisp.mixture import check_runs
 from jaxisp.models.cells import CELL, LEAST, cell_statistics, told_levels
 from jaxisp.models.levels import measured_map
 from jaxisp.params import specs
 from jaxisp.phase import CfaPhase
-from jaxisp.priors import Bernoulli, Distribution, LogUniform, PowerUniform, Uniform
+from jaxisp.priors import Bernoulli, Choice, Distribution, LogUniform, Normal, PowerUniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
+from jaxisp.shown import brief
 from jaxisp.train.target import without_noise
 
 __all__ = ["EFFECTS", "Adaptation", "Narrowed", "adapt"]
@@ -49,6 +53,10 @@ EFFECTS = (
 )  # fmt: skip
 """What is predicted beside parameters: the mean standard deviation of the noise, and how much of the detail
 of the clean crops the camera passes."""
+ADAPTED = "narrowed to noisy pictures of one camera"
+TOLD = 0.05
+"""Share of its variance that must be told of a parameter whose prior is narrowed: what is kept of another is
+a few draws by chance."""
 ROUNDS = 2
 """Each draws from what the one before left."""
 STRANGE = 0.99
@@ -63,7 +71,8 @@ class Narrowed:
         name: "stage.parameter".
         before: the recipe's distribution.
         after: the narrowed one.
-        told: share of the parameter's variance that the statistics predict, 0 to 1.
+        told: share of the parameter's variance that the statistics predict, 0 to 1; of a vector, the mean of
+            its elements.
     """
 
     name: str
@@ -72,7 +81,7 @@ class Narrowed:
     told: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Adaptation:
     """What `adapt` found.
 
@@ -85,6 +94,8 @@ class Adaptation:
             of this camera: `jaxisp diagnose` says which.
         skipped: (file, reason) of pictures that could not be used.
     """
+
+    __repr__ = brief
 
     recipe: Recipe
     priors: tuple[Narrowed, ...]
@@ -118,17 +129,24 @@ def adapt(
         tick: called with (done, total, text).
 
     Raises:
-        InputError: no picture can be used, too few draws, or the recipe draws nothing.
+        InputError: no picture can be used, too few draws, or the recipe draws nothing, is not for
+            photographs, or cannot run on any.
     """
-    if draws < 4 * FEWEST:
-        raise InputError(f"draws = {draws}: expected {4 * FEWEST} at least")
+    check_whole("draws", draws, 4 * FEWEST)
+    check_whole("per_image", per_image, 1)
+    check_seed(seed)
     recipe = find_recipe(recipe)
+    check_runs(recipe)
     laws = dict(_laws(recipe))
     if not laws:
         raise InputError(f"recipe {recipe.name!r} draws no parameter: there is nothing to narrow")
+    starts = recipe.chain.init()
+    sizes = [np.size(getattr(starts[stage], field)) for stage, field in laws]
+    ends = np.cumsum(sizes)[:-1]
+    columns = [law for law, size in zip(laws.values(), sizes) for _ in range(size)]
     rng = np.random.default_rng(seed)
-    pictures = load_clean(clean or noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
     crops, skipped = _noisy_crops(noisy, per_image, rng)
+    pictures = _clean(clean, noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
     seen = _summaries(crops)
     found, now = [], recipe
     for i in range(ROUNDS):
@@ -138,27 +156,28 @@ def adapt(
             for n in range(start, end, BATCH)
         ]
         statistics, effects, drawn = (np.concatenate(part) for part in zip(*made))
-        found.append(_nearest(statistics, effects, drawn, seen, laws))
+        found.append(_nearest(statistics, effects, drawn, seen, columns))
         changed: dict[str, dict[str, Any]] = {}
-        for (stage, field), values in zip(laws, found[-1].kept.T):
-            changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
-        now = recipe.override(**changed)
-    # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
-    told, strange = found[0].told, found[0].strange
+        # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
+        told, strange = [float(own.mean()) for own in np.split(found[0].told, ends)], found[0].strange
+        for (stage, field), share, values in zip(laws, told, np.split(found[-1].kept, ends, axis=1)):
+            if share >= TOLD:
+                changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
+        now = recipe.override(changed)
     about = {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}
     narrowed = dataclasses.replace(
         now,
         chain=dataclasses.replace(now.chain, name=f"{recipe.name}-adapted"),
-        description=f"{recipe.description}; narrowed to noisy pictures of one camera",
+        description=f"{recipe.description}; {ADAPTED}".removeprefix("; "),
         meta={**recipe.meta, "adapted": about},
     )
     priors = tuple(
-        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(float(share), 3))
+        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(share, 3))
         for ((stage, field), law), share in zip(laws.items(), told)
     )
-    return Adaptation(
-        narrowed, priors, len(crops), _in_units(found[-1].effects), strange, (*skipped, *pictures.skipped)
-    )
+    known = {path for path, _ in skipped}
+    skipped += [one for one in pictures.skipped if one[0] not in known]
+    return Adaptation(narrowed, priors, len(crops), _in_units(found[-1].effects), strange, tuple(skipped))
 
 
 def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
@@ -168,6 +187,16 @@ def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
             law = getattr(prior, field)
             if isinstance(law, Distribution) and not isinstance(prior, CfaPhase):
                 yield (stage, field), law
+
+
+def _clean(clean: Any, noisy: Any, **options: Any) -> CleanImages:
+    """The clean pictures, or the noisy ones made smaller, which are known to be pictures."""
+    if clean is not None:
+        return load_clean(clean, **options)
+    try:
+        return load_clean(noisy, **options)
+    except InputError as error:
+        raise InputError(f"{error}; give other photographs as clean ones, or downsample less") from None
 
 
 def _noisy_crops(
@@ -196,6 +225,8 @@ def _noisy_crops(
 def _crop(images: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     """A crop of clean pictures, flipped and turned at random."""
     image = images[int(rng.integers(len(images)))]
+    if image.ndim == 4:  # kept as crops
+        image = image[int(rng.integers(len(image)))]
     y, x = (rng.integers(0, n - SIDE + 1) for n in image.shape[:2])
     crop = np.rot90(image[y : y + SIDE, x : x + SIDE], int(rng.integers(4)))
     return (crop[:, ::-1] if rng.integers(2) else crop).astype(np.float32) / 65535
@@ -259,39 +290,47 @@ def _scaled(law: Distribution, values: np.ndarray) -> np.ndarray:
     """Values on the scale on which they are drawn evenly."""
     if isinstance(law, LogUniform):
         return np.log(values)
-    return values ** (1 / law.exponent) if isinstance(law, PowerUniform) else values
+    if isinstance(law, PowerUniform):
+        return np.sign(values) * np.abs(values) ** (1 / law.exponent)
+    return ndtr((values - law.mean) / law.std) if isinstance(law, Normal) else values
 
 
 def _values(params: Any, laws: dict[tuple[str, str], Distribution]) -> np.ndarray:
-    """(N, parameters) of a batch, vectors by their mean."""
+    """(N, columns) of a batch: one a parameter, or one an element of a vector."""
     columns = []
     for (stage, field), law in laws.items():
         values = np.asarray(getattr(params[stage], field), np.float64)
-        columns.append(_scaled(law, values).reshape(len(values), -1).mean(1))
-    return np.stack(columns, 1)
+        columns.append(_scaled(law, values).reshape(len(values), -1))
+    return np.concatenate(columns, 1)
 
 
 class _Nearest(NamedTuple):
     told: np.ndarray
-    """Share of each parameter's variance that is predicted."""
+    """Share of each column's variance that is predicted."""
     effects: np.ndarray
     """Mean of what is predicted for the camera's crops."""
     kept: np.ndarray
-    """(kept, parameters): those of the draws nearest to each crop."""
+    """(kept, columns): those of the draws nearest to each crop."""
     strange: float
     """Share of crops that are farther from their nearest draws than draws are from theirs."""
 
 
 def _nearest(
-    statistics: np.ndarray, effects: np.ndarray, drawn: np.ndarray, seen: np.ndarray, laws: Any
+    statistics: np.ndarray,
+    effects: np.ndarray,
+    drawn: np.ndarray,
+    seen: np.ndarray,
+    laws: Sequence[Distribution],
 ) -> _Nearest:
+    """The draws that are nearest to what was seen; `laws` are those of the columns of `drawn`."""
     mean, scale = statistics.mean(0), statistics.std(0) + 1e-6
     wanted = np.concatenate([effects, drawn], 1)
     middle, spread = wanted.mean(0), wanted.std(0) + 1e-12
     predicted, left_out, residual = _ridge(
         (statistics - mean) / scale, (wanted - middle) / spread, (seen - mean) / scale
     )
-    told = np.clip(1 - (residual**2).mean(0), 0, 1)
+    # what did not vary is not told, however well it is predicted
+    told = np.where(np.ptp(wanted, axis=0) > 0, np.clip(1 - (residual**2).mean(0), 0, 1), 0.0)
     weight = np.sqrt(told) / np.sqrt((residual**2).mean(0) + 1e-6)
     count = max(FEWEST, round(KEPT * len(drawn)))
 
@@ -306,9 +345,10 @@ def _nearest(
     usual = np.quantile(nearest(left_out, own=True)[1], STRANGE)
     # what was drawn, moved by what its crop and the camera's differ in: a draw is never just like the camera
     first = effects.shape[1]
-    moved = drawn[order] + ((predicted[:, None] - left_out[order]) * spread)[..., first:]
-    switches = [isinstance(law, Bernoulli) for law in laws.values()]
-    kept = np.where(switches, drawn[order], np.clip(moved, drawn.min(0), drawn.max(0)))
+    inside = np.clip(predicted, left_out.min(0), left_out.max(0))  # a regression holds no further
+    moved = drawn[order] + ((inside[:, None] - left_out[order]) * spread)[..., first:]
+    levels = [isinstance(law, Bernoulli | Choice) for law in laws]
+    kept = np.where(levels, drawn[order], moved)
     return _Nearest(
         told[first:], (predicted * spread + middle)[:, :first].mean(0), kept.reshape(-1, len(laws)),
         float((far > usual).mean()),
@@ -336,12 +376,26 @@ def _ridge(x: np.ndarray, y: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _narrowed(law: Distribution, kept: np.ndarray) -> Distribution:
-    """The distribution, on the range that holds most of what was kept, or with its share."""
+    """The distribution on the range, or of the values, that hold most of what was kept; or with its share."""
     if isinstance(law, Bernoulli):
         return Bernoulli(float(np.clip(kept.mean(), 0, 1)))
+    if isinstance(law, Choice):
+        shares = {value: float((kept == np.float32(value)).mean()) for value in law.values}
+        likely, held = set(), 0.0
+        for value in sorted(shares, key=lambda own: -shares[own]):
+            likely.add(value)
+            held += shares[value]
+            if held >= WITHIN:
+                break
+        return Choice(tuple(value for value in law.values if value in likely))
     low, high = np.quantile(kept, [(1 - WITHIN) / 2, (1 + WITHIN) / 2])
+    # of values that lie as they were drawn, the range that they were drawn from
+    spare = (high - low) * (1 / WITHIN - 1) / 2
+    first, last = _scaled(law, np.asarray(law.support))
+    half = min((high - low) / 2, last - first)  # a camera beyond the range is at its end, and no point
+    low, high = np.clip(low - spare, first, last - half), np.clip(high + spare, first + half, last)
     if isinstance(law, LogUniform):
         return LogUniform(float(np.exp(low)), float(np.exp(high)))
-    if isinstance(law, Uniform | PowerUniform):
-        return dataclasses.replace(law, low=float(low), high=float(high))
-    return law
+    if isinstance(law, Normal):
+        low, high = np.clip(law.mean + law.std * ndtri([low, high]), law.low, law.high)
+    return dataclasses.replace(law, low=float(low), high=float(high))

@@ -33,6 +33,13 @@ def check_whole(name: str, value: Any, least: int) -> None:
         raise InputError(f"{name} must be a whole number from {least} on, got {short(value)}")
 
 
+def check_seed(value: Any) -> None:
+    """Raise InputError where a value is no seed: a whole number of 32 bits; two of more may make one key."""
+    check_whole("seed", value, 0)
+    if value >= 1 << 32:
+        raise InputError(f"seed = {value}: seeds go from 0 to {(1 << 32) - 1}")
+
+
 def check_finite(name: str, array: np.ndarray) -> np.ndarray:
     """Return `array`; raise InputError where it holds NaN or infinity."""
     bad = int((~np.isfinite(array)).sum())

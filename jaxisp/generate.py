@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import tomli_w
 
-from jaxisp.checks import check_whole, several
+from jaxisp.checks import check_seed, check_whole, several
 from jaxisp.errors import InputError
 from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
 from jaxisp.io.files import (
@@ -113,9 +113,7 @@ class Work:
     def __post_init__(self) -> None:
         check_whole("count", self.count, 1)
         check_whole("start", self.start, 0)
-        check_whole("seed", self.seed, 0)
-        if self.seed >= 1 << 32:
-            raise InputError(f"seed = {self.seed}: seeds go from 0 to {(1 << 32) - 1}")
+        check_seed(self.seed)
         check_runs(self.degradation)
         object.__setattr__(self, "paths", find_images(self.inputs))
         if self.start > (1 << 31) - 1 - len(self):

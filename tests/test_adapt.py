@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.adapt import _narrowed, _nearest, _ridge, adapt
+from jaxisp.adapt import _crop, _narrowed, _nearest, _ridge, _scaled, _values, adapt
 from jaxisp.cli import main
 from jaxisp.color import LUMA_601
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.models import make_model, save_network
 from jaxisp.pipeline import Chain, stage
-from jaxisp.priors import Bernoulli, LogUniform, Uniform
+from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
+from jaxisp.stages.blur import MotionBlur
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise
 
@@ -100,25 +101,123 @@ def test_what_statistics_do_not_tell_stays(rng):
     drawn = np.stack([rng.random(600), rng.random(600), rng.integers(0, 2, 600)], 1)
     shown = np.stack([drawn[:, 0], drawn[:, 2]], 1) @ rng.standard_normal((2, 8))
     statistics = shown + 0.02 * rng.standard_normal((600, 8))
-    laws = {"a": Uniform(0, 1), "b": Uniform(0, 1), "c": Bernoulli(0.5)}
+    laws = (Uniform(0, 1), Uniform(0, 1), Bernoulli(0.5))
     seen = np.abs(drawn[:, 0] - 0.3) + np.abs(drawn[:, 2] - 1) < 0.03
     told, effects, kept, strange = _nearest(statistics, drawn[:, :1], drawn, statistics[seen], laws)
     assert told[0] > 0.98 and told[1] < 0.05 and told[2] > 0.98 and strange < 0.1
     np.testing.assert_allclose(effects, drawn[seen, 0].mean(), atol=0.02)
-    a, b, c = (_narrowed(law, kept[:, i]) for i, law in enumerate(laws.values()))
+    a, b, c = (_narrowed(law, kept[:, i]) for i, law in enumerate(laws))
     assert 0.2 < a.low < 0.3 < a.high < 0.4
-    assert b.high - b.low > 0.7 and c.p > 0.99
+    assert b.high - b.low > 0.8 and c.p > 0.99
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Uniform(-1, 3), LogUniform(0.01, 1), PowerUniform(0, 0.2, 2), PowerUniform(-1, 1, 3),
+        PowerUniform(-2, 1, 2), Normal(0, 1, -3, 2), Choice((75, 80, 85, 90)), Bernoulli(0.3), Uniform(2, 2),
+    ],
+)  # fmt: skip
+def test_what_lies_as_it_was_drawn_keeps_its_range(law):
+    """Of all kinds of distributions; and what lies in a part of it has that part."""
+    drawn = np.asarray(law.sample(jax.random.key(1), (4000,)), np.float64)
+    values = _scaled(law, drawn)
+    assert np.isfinite(values).all()
+    same = _narrowed(law, values)
+    if isinstance(law, Bernoulli):
+        assert abs(same.p - 0.3) < 0.03
+        return
+    if isinstance(law, Choice):
+        assert same == law
+    before, after = (_scaled(law, np.asarray(own.support)) for own in (law, same))
+    np.testing.assert_allclose(after, before, atol=0.03 * np.ptp(before))
+    middle = (drawn >= np.quantile(drawn, 0.4)) & (drawn <= np.quantile(drawn, 0.6))
+    low, high = _narrowed(law, values[middle]).support
+    span = drawn[middle].max() - drawn[middle].min()
+    assert law.support[0] <= low + 1e-6 and high <= law.support[1] + 1e-6
+    assert abs(low - drawn[middle].min()) <= 0.1 * span and abs(high - drawn[middle].max()) <= 0.1 * span
+
+
+def test_a_camera_beyond_a_range_is_at_its_end(rng):
+    """And no point there: what is not known of it is kept."""
+    for law in (Uniform(0, 1), LogUniform(0.1, 1), Normal(0.5, 0.2, 0, 1)):
+        end = _scaled(law, np.asarray(law.support))[1]
+        found = _narrowed(law, end + rng.uniform(0.1, 0.3, 500))
+        assert found.high == pytest.approx(1) and 0.5 < found.low < 0.95
+
+
+def test_a_crop_beyond_all_draws_has_no_exact_parameter(rng):
+    """What was kept for it is as wide as what the statistics leave open, at the end of what was drawn."""
+    drawn = rng.random((300, 1))
+    statistics = drawn + 0.1 * rng.standard_normal((300, 4))
+    kept = _nearest(statistics, drawn, drawn, np.full((1, 4), 3.0), (Uniform(0, 5),)).kept
+    assert 0.05 < np.ptp(kept) < 0.5 and 0.7 < kept.mean() < 1.2
+
+
+def test_elements_of_a_vector_are_told_one_by_one(rng):
+    """What is drawn evenly in a vector is so still: means of elements lie closer to the middle."""
+    law = Uniform(0.0, 4.0)
+    params = {"motion_blur": MotionBlur(lengths=rng.uniform(0, 4, (500, 3)), directions=np.zeros((500, 3)))}
+    values = _values(params, {("motion_blur", "lengths"): law})
+    assert values.shape == (500, 3)
+    found = _narrowed(law, values)
+    assert found.low < 0.1 and found.high > 3.9
+
+
+def test_what_does_not_vary_is_not_told(rng):
+    drawn = np.stack([rng.random(100), np.full(100, 0.1)], 1)
+    statistics = np.stack([drawn[:, 0], rng.random(100)], 1)
+    told = _nearest(statistics, drawn[:, :1], drawn, statistics[:5], (Uniform(0, 1), Uniform(0.1, 0.1))).told
+    assert told[0] > 0.9 and told[1] == 0
+
+
+def test_photographs_that_are_kept_as_crops(rng):
+    """As `load_clean` keeps them beyond 2 GiB."""
+    crops = np.stack([np.full((140, 140, 3), i * 65535 // 3, np.uint16) for i in range(4)])
+    shades = {round(3 * float(_crop([crops], rng).mean())) for _ in range(40)}
+    assert shades == {0, 1, 2, 3} and _crop([crops], rng).shape == (128, 128, 3)
 
 
 def test_what_cannot_be_used_is_told(folders, tmp_path):
     write_png(tmp_path / "small.png", np.full((100, 300, 3), 0.5, np.float32))
     with pytest.raises(InputError, match="100x300 px is smaller than a crop of 128 px"):
         adapt(tmp_path, CAMERAS, clean=folders / "clean", draws=64)
-    with pytest.raises(InputError, match="draws = 10: expected 64 at least"):
+    with pytest.raises(InputError, match="draws must be a whole number from 64 on, got 10"):
         adapt(folders / "noisy", CAMERAS, draws=10)
+    with pytest.raises(InputError, match="seed = 4294967296: seeds go from 0 to 4294967295"):
+        adapt(folders / "noisy", CAMERAS, seed=1 << 32)
+    with pytest.raises(InputError, match="by their paths, got ndarray"):
+        adapt(np.zeros((2, 128, 128, 3), np.float32), CAMERAS)
+    light = Recipe(
+        Chain((stage("gaussian_noise"), stage("srgb_oetf")), "light"),
+        {"gaussian_noise": GaussianNoise(std=Uniform(0, 0.1))},
+    )
+    with pytest.raises(InputError, match="takes linear sRGB, not photographs"):
+        adapt(folders / "noisy", light, clean=folders / "clean")
+    with pytest.raises(InputError, match=r"after downsampling by 3 .*give other photographs as clean ones"):
+        adapt(folders / "noisy", CAMERAS)
     fixed = CAMERAS.override(gaussian_noise={"std": 0.1}, jpeg={"quality": 90.0})
     with pytest.raises(InputError, match="draws no parameter"):
         adapt(folders / "noisy", fixed, clean=folders / "clean", draws=64)
+
+
+def test_the_command_refuses_before_it_draws(folders, tmp_path, capsys):
+    """And leaves nothing; what it was given is no output."""
+    mine, out = tmp_path / "mine.toml", tmp_path / "out.toml"
+    CAMERAS.save(mine)
+    before = mine.read_text()
+    options = ["adapt", str(folders / "noisy"), "--clean", str(folders / "clean"), "--recipe", str(mine)]
+    refused = [
+        (["-o", mine], "is an input, and would be overwritten"),
+        (["-o", folders / "clean" / "0.png"], "is an input, and would be overwritten"),
+        (["-o", out, "--steps", "3"], "give --run RUN too"),
+        (["-o", out, "--run", tmp_path / "run", "--start", folders / "noisy" / "0.png"], "holds no network"),
+        (["-o", out, "--run", mine], "mine.toml"),
+    ]
+    for call, told in refused:
+        assert main([*options, *map(str, call)]) == 2
+        assert told in capsys.readouterr().err
+    assert mine.read_text() == before and list(tmp_path.iterdir()) == [mine]
 
 
 @pytest.mark.slow

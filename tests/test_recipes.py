@@ -196,9 +196,24 @@ def test_encoded_levels_well_above_white_are_refused(name):
     assert np.isfinite(camera.degrade(KEY, 2 * images)[0]).all()
 
 
-@pytest.mark.parametrize("start", [LAST_INDEX - 6, -1, np.int64(2**32), 2**70, 0.5, [0, 1, 2], [2**31] * 8])
-def test_an_index_that_no_sample_has_is_refused(start):
-    with pytest.raises(ValueError, match=r"start = .*: give the index of the first image"):
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        (
+            LAST_INDEX - 6,
+            "the last of 8 images would have the index 2147483648; indices go from 0 to 2147483647",
+        ),
+        (np.int64(2**32), "the last of 8 images would have the index 4294967303"),
+        ([2**31] * 8, "the last of 8 images would have the index 2147483648"),
+        (-1, "below 0; indices go from 0"),
+        ([0, 1, 2, 3, 4, 5, 6, -7], "below 0; indices go from 0"),
+        (2**70, "give the index of the first image, or one for each of the 8"),
+        (0.5, "give the index of the first image, or one for each of the 8"),
+        ([0, 1, 2], "give the index of the first image, or one for each of the 8"),
+    ],
+)
+def test_an_index_that_no_sample_has_is_refused(start, told):
+    with pytest.raises(ValueError, match=rf"start = .*: {told}"):
         RECIPES["awgn"]().degrade(KEY, IMAGES, start)
 
 

@@ -1,15 +1,18 @@
 """`jaxisp adapt`: a recipe, and a network, for the camera of a folder of noisy pictures."""
 
+import contextlib
 import signal
 from argparse import Namespace
 from typing import Any
 
 from jaxisp.cli.common import add_command, positive, print_json, print_table, progress, report_failures, say
 from jaxisp.cli.devices import use_cores
+from jaxisp.errors import InputError
 from jaxisp.process import signals
 
 STRANGE = 0.2
 """Share of crops beyond which it is said."""
+STEPS = 2000
 
 
 def add_commands(commands: Any) -> None:
@@ -45,19 +48,25 @@ def add_commands(commands: Any) -> None:
         help="weights that it begins with (default: the network that comes with jaxisp)",
     )  # fmt: skip
     command.add_argument(
-        "--steps", type=positive, default=2000, help="updates of 16 patches of 64 px (default 2000)"
+        "--steps", type=positive, metavar="N", help=f"updates of 16 patches of 64 px (default {STEPS})"
     )
 
 
 def run(arguments: Namespace) -> int:
     use_cores()
     from jaxisp.adapt import adapt
-    from jaxisp.io.files import filled_file, find_images
+    from jaxisp.io.files import filled_file, filled_folder, find_images
+    from jaxisp.train.finetune import beginning, fine_tune
 
-    with (
-        filled_file(arguments.out, find_images(arguments.noisy, recursive=True)),
-        progress("adapting") as tick,
-    ):
+    pictures = find_images([*arguments.noisy, *(arguments.clean or [])], recursive=True)
+    with contextlib.ExitStack() as stack:
+        if arguments.folder:  # what cannot be trained is told before minutes of adapting
+            stack.enter_context(filled_folder(arguments.folder))
+            stack.enter_context(beginning(arguments.start))
+        elif arguments.start or arguments.steps:
+            raise InputError("--start and --steps say how a network is trained: give --run RUN too")
+        stack.enter_context(filled_file(arguments.out, [*pictures, arguments.recipe]))
+        tick = stack.enter_context(progress("adapting"))
         found = adapt(
             arguments.noisy, arguments.recipe, clean=arguments.clean, downsample=arguments.downsample,
             draws=arguments.draws, per_image=arguments.per_image, seed=arguments.seed, tick=tick,
@@ -65,12 +74,11 @@ def run(arguments: Namespace) -> int:
         found.recipe.save(arguments.out)
     result = None
     if arguments.folder:
-        from jaxisp.train.finetune import fine_tune
-
         with progress("training") as tick:
             result = fine_tune(
                 arguments.out, arguments.clean or arguments.noisy, arguments.folder, start=arguments.start,
-                downsample=arguments.downsample, steps=arguments.steps, seed=arguments.seed, tick=tick,
+                downsample=arguments.downsample, steps=arguments.steps or STEPS, seed=arguments.seed,
+                tick=tick,
             )  # fmt: skip
     if arguments.json:
         _as_json(arguments, found, result)
@@ -99,10 +107,16 @@ def _as_json(arguments: Namespace, found: Any, result: Any) -> None:
 
 
 def _print(arguments: Namespace, found: Any, result: Any) -> None:
+    from jaxisp.shown import value_text
+
     told = sorted(found.priors, key=lambda one: -one.told)
     print_table(
         ("parameter", "told", "before", "after"),
-        [(one.name, f"{one.told:.2f}", repr(one.before), repr(one.after)) for one in told if one.told > 0.1],
+        [
+            (one.name, f"{one.told:.2f}", value_text(one.before), value_text(one.after))
+            for one in told
+            if one.told > 0.1
+        ],
     )
     for name, value in found.effects.items():
         say(f"{name}: {value:.2f}")

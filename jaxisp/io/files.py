@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from jaxisp.checks import several
 from jaxisp.errors import InputError, one_line
 
 MOST_PIXELS = 1 << 28
@@ -478,9 +479,13 @@ def find_images(paths: PathLike | Iterable[PathLike], *, recursive: bool = False
         so that it is told where it is read, and the rest goes on; so are folders that cannot be listed.
 
     Raises:
-        InputError: a folder holds no images, or none of the files can be used.
+        InputError: a folder holds no images, none of the files can be used, or what is given are no paths.
     """
-    given = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+    given = several(paths)
+    if wrong := [one for one in given if not isinstance(one, str | os.PathLike)]:
+        raise InputError(
+            f"expected images or folders of images by their paths, got {type(wrong[0]).__name__}"
+        )
     if not given:
         raise InputError("no input files given, expected images or folders of images")
     found: dict[Path, None] = {}

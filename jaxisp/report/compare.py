@@ -29,14 +29,15 @@ def read_report(path: str | Path) -> tuple[str, Report]:
         InputError: it cannot be read, or is none of these.
     """
     file = Path(path, REPORT) if os.path.isdir(path) else Path(path)
-    report = read_json(file)
+    give = "give the folder of a report, or what --json printed"
+    try:
+        report = read_json(file)
+    except InputError as error:
+        raise InputError(f"{error}; {give}") from None
     for kind, keys in _KEYS.items():
         if keys <= set(report):
             return kind, report
-    raise InputError(
-        f"{file}: is no report of jaxisp fit, diagnose or evaluate; give the folder of a report, or what "
-        "--json printed"
-    )
+    raise InputError(f"{file}: is no report of jaxisp fit, diagnose or evaluate; {give}")
 
 
 def compare(a: str | Path, b: str | Path) -> dict[str, Any]:

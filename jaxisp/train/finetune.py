@@ -1,18 +1,37 @@
 """Training that goes on from a network for all cameras, on the recipe of one."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from jaxisp.checks import several
 from jaxisp.errors import InputError
+from jaxisp.models import read_network
 from jaxisp.models.apply import SHIPPED
-from jaxisp.models.files import read_arrays
 from jaxisp.recipes import RecipeLike, find_degradation
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.trainer import TrainResult, train
+
+
+@contextlib.contextmanager
+def beginning(start: str | Path | None = None) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """The file of the network that training goes on from, and what is kept with its weights.
+
+    Args:
+        start: a file of weights; those that come with the package unless given.
+
+    Raises:
+        InputError: there are no weights, or the file holds no network.
+    """
+    with contextlib.ExitStack() as stack:
+        if start is None:
+            shipped = resources.files("jaxisp.models") / SHIPPED
+            if not shipped.is_file():
+                raise InputError("no network comes with this jaxisp: give the weights of one to begin with")
+            start = stack.enter_context(resources.as_file(shipped))
+        yield Path(start), read_network(start)[1]
 
 
 def fine_tune(
@@ -41,17 +60,12 @@ def fine_tune(
     Raises:
         InputError: there are no weights to begin with, or `train` raises it.
     """
-    shipped = resources.files("jaxisp.models") / SHIPPED
-    if start is None and not shipped.is_file():
-        raise InputError("no network comes with this jaxisp: give the weights of one to begin with")
     found = find_degradation(recipe)
     name = str(recipe) if isinstance(recipe, str | Path) else found.name
-    with contextlib.ExitStack() as stack:
-        begin = start or stack.enter_context(resources.as_file(shipped))
-        about = read_arrays(begin)[1]
+    with beginning(start) as (begin, about):
         config = TrainConfig(
             clean=tuple(map(str, several(clean))), recipe=name, model=about["model"],
-            model_options=about["options"], light=about["light"],
+            model_options=about["options"], light=about.get("light", "encoded"),
             start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
             patch=64, per_image=20, target="camera", loss="log_rms", lr=3e-4, pool=min(8192, 16 * steps),
         )  # fmt: skip
