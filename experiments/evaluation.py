@@ -392,6 +392,19 @@ def commands(found: Mapping[str, Any]) -> str:
     return "\n".join([*lines, "```", ""])
 
 
+def beside(found: Mapping[str, Any]) -> dict[str, str]:
+    """Switches beside their camera's plain pictures: cases that the method was changed by, before and after,
+    and others."""
+    seen = [r for r in found["records"] if r["truth"]["case"] in found["seen"]]
+    new = [r for r in found["records"] if r not in seen]
+    return {
+        "beside": switches.rates(new),
+        "beside-by-case": switches.by_case(new),
+        "beside-seen": switches.by_case(seen),
+        "beside-before": switches.by_case(found["before"]),
+    }
+
+
 def tables(results: Path = RESULTS) -> dict[str, str]:
     """Every generated part of the page, by name."""
 
@@ -417,6 +430,7 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "switches": switches.rates(others["switches"]["records"]),
         "switches-by-case": switches.by_case(others["switches"]["records"]),
         "switches-left": "".join(f"- {name}\n" for name in others["switches"]["not run"]),
+        **beside(others["beside"]),
         "fresh": fresh(found["fresh"]),
         "drops": drops(found["drops"]),
         "null-bank": null_bank([*cases_of(found, "nulls"), *cases_of(found, "frames")]),

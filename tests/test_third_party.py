@@ -12,7 +12,7 @@ from experiments.third_party.cameras import SENSORS, frames, noise, tuning
 from experiments.third_party.cases import CONVERTERS, Case, cases
 from experiments.third_party.chance import HALVES
 from experiments.third_party.pictures import apart, write_hald
-from experiments.third_party.run import PICTURES, possible, two_pictures
+from experiments.third_party.run import PAIRS, PICTURES, REFERENCE, possible, two_pictures
 from experiments.third_party.switches import NONE, OUTSIDE
 from experiments.third_party.tables import first, groups, markdown, ranked, size, summary, surely_named
 from jaxisp.gap import EFFECTS
@@ -170,13 +170,28 @@ def test_a_case_is_laid_out_as_two_pictures(tmp_path):
     off, on, out = (tmp_path / name for name in ("off", "on", "out"))
     for folder, value in ((off, 90), (on, 120), (out, 0)):
         folder.mkdir()
+        (folder / "truth.json").write_text(json.dumps({"level": int(folder == on)}))
         if value:
             for name in ("s0", "s1"):
                 cv2.imwrite(str(folder / f"{name}.jpg"), np.full((64, 64, 3), value, np.uint8))
+    (out / "truth.json").unlink()
     two_pictures(on, off, out)
     data = open_dataset(out)
     assert data.kind == "jpeg+jpeg" and [p.name for p in data.pairs] == ["s0", "s1"]
     first = data.pairs[0].load()
     assert first.clean.mean() < first.picture.mean() and possible(on, PICTURES)
     (on / "s0.jpg").unlink(), (on / "s1.jpg").unlink()
-    assert not possible(on, PICTURES) and possible(on, "pairs")
+    assert not possible(on, PICTURES) and possible(on, PAIRS) and possible(on, REFERENCE)
+    assert possible(off, PAIRS) and not possible(off, REFERENCE), "it is no case beside itself"
+
+
+def test_beside_plain_pictures_what_a_base_takes_up_is_to_be_named():
+    black = record("b", NONE, 40.0, [("black_level_offset", {})], also=["black_level_offset"])
+    quality, bloom = record("q", NONE, 5.0), record("o", OUTSIDE, 30.0, also=["veiling_glare"])
+    every = [dict(r, how=REFERENCE) for r in (black, quality, bloom)]
+    parts = groups(every)
+    assert parts["effects, all"] == every[:1] and parts["nothing added"] == every[1:2]
+    assert parts["outside the library"] == every[2:] and first(every[0])
+    assert size(every[0], {}) == 4.0, "a gap is what the switch did"
+    every[1]["report"]["gap"]["floor"] = 0.0
+    assert size(every[1], {}) == 1.0 and groups([black])["effects, all"] == []

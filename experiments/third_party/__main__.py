@@ -8,7 +8,10 @@ from jaxisp.io.files import atomic_write
 
 from .cases import sample
 from .chance import HALVES
-from .run import HOW, records, run
+from .run import HOW, PAIRS, records, run
+
+PARTS = dict(zip(HOW, ("switches", "beside", "changed")))
+"""What a file of results has of each way to diagnose a case."""
 
 
 def parse() -> argparse.Namespace:
@@ -37,6 +40,9 @@ def parse() -> argparse.Namespace:
     collect.add_argument("out", type=Path, help="what `run --sample` wrote")
     collect.add_argument("--into", type=Path, default=Path("docs/results/third-party.json"))
     collect.add_argument("--half", choices=HALVES, required=True)
+    collect.add_argument("--how", choices=HOW, default=HOW[0], help="as it was run")
+    collect.add_argument("--seen", nargs="*", default=[], help="cases that the method was changed by")
+    collect.add_argument("--before", type=Path, help="what `run` wrote of these before the changes")
     return parser.parse_args()
 
 
@@ -52,9 +58,15 @@ def main() -> None:
     if arguments.command == "collect":
         result = json.loads(arguments.into.read_text())
         done = [kept(record) for record in records(arguments.out)]
-        left = [case.name for case in sample(arguments.half)]
-        left = [name for name in left if name not in [r["truth"]["case"] for r in done]]
-        result["switches"] = {"half": arguments.half, "records": done, "not run": left}
+        ran = {record["truth"]["case"] for record in done}
+        asked = [case for case in sample(arguments.half) if case.level or arguments.how == PAIRS]
+        result[PARTS[arguments.how]] = {
+            "half": arguments.half,
+            "records": done,
+            "seen": sorted(arguments.seen),
+            "before": [kept(record) for record in records(arguments.before)] if arguments.before else [],
+            "not run": [case.name for case in asked if case.name not in ran],
+        }
         with atomic_write(arguments.into) as file:
             file.write((json.dumps(result, indent=1) + "\n").encode())
         return

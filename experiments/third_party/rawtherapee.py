@@ -262,11 +262,11 @@ def _resized(
     scratch: Path,
     out: Path,
 ) -> list[Path]:
-    """Smaller by a scale, and back to the size that it had."""
+    """Smaller by a scale, and back to the size that it had: that of the RAW less what is cut off."""
     resize = {"Enabled": "true", "AppliesTo": "Full image", "Method": "Lanczos", "AllowUpscaling": "true"}
     down = {**merged, "Resize": {**resize, "Scale": scale, "DataSpecified": 0}}
     small = _run(raws, _profile(down, scratch / "down.pp3"), ["-t", "-b16"], scratch / "small")
-    side = _side(raws[0])
+    side = _side(raws[0]) - 2 * int(str(merged["RAW Bayer"]["Border"]))
     up = {
         "Version": _NEUTRAL["Version"],
         "Resize": {**resize, "DataSpecified": 3, "Width": side, "Height": side},

@@ -64,8 +64,10 @@ def _order(truth: Path) -> tuple[int, str]:
 
 
 def possible(case: Path, how: str) -> bool:
-    """Whether a case can be diagnosed like that: two pictures have to be JPEG files."""
-    return how != PICTURES or any(case.glob("*.jpg"))
+    """Whether a case can be diagnosed like that: a plain profile is no case beside itself, and two pictures
+    have to be JPEG files."""
+    level = json.loads((case / "truth.json").read_text())["level"]
+    return how == PAIRS or (level > 0 and (how != PICTURES or any(case.glob("*.jpg"))))
 
 
 def two_pictures(case: Path, plain: Path, folder: Path) -> None:
@@ -89,8 +91,7 @@ def diagnosed(case: Path, how: str = PAIRS) -> Record:
                 two_pictures(case, off, Path(scratch))
                 report = plain(diagnose(scratch).report)
             else:
-                beside = off if how == REFERENCE and truth["level"] else None
-                report = plain(diagnose(case, reference=beside).report)
+                report = plain(diagnose(case, reference=off if how == REFERENCE else None).report)
         except Exception as error:  # an error is a result: it is counted
             places = traceback.extract_tb(error.__traceback__, limit=-4)
             trace = [f"{Path(own.filename).name}:{own.lineno} {own.name}" for own in places]

@@ -7,6 +7,7 @@ from typing import Any
 
 from experiments.withheld.tables import share, table
 
+from .run import PAIRS
 from .switches import NONE, OUTSIDE
 
 Record = dict[str, Any]
@@ -47,13 +48,34 @@ def surely_named(record: Record) -> list[str]:
     return [name for name in sure if name not in right(record)]
 
 
+def beside(record: Record) -> bool:
+    """Whether the camera's plain pictures were given: nothing is taken up by a base then."""
+    return bool(record.get("how", PAIRS) != PAIRS)
+
+
 def of_effects(records: Sequence[Record]) -> list[Record]:
-    return [r for r in records if r["truth"]["truth"] not in (NONE, OUTSIDE)]
+    """Cases with something to be named; what a base takes up is, where the plain pictures are given."""
+
+    def counts(record: Record) -> bool:
+        truth = record["truth"]["truth"]
+        return truth not in (NONE, OUTSIDE) or (truth == NONE and beside(record) and right(record) != [])
+
+    return [r for r in records if counts(r)]
+
+
+def of_nothing(records: Sequence[Record], truth: str) -> list[Record]:
+    """Cases with nothing to be named: of `NONE` or `OUTSIDE`."""
+    named = {r["truth"]["case"] for r in of_effects(records)}
+    return [r for r in records if r["truth"]["truth"] == truth and r["truth"]["case"] not in named]
 
 
 def size(record: Record, records: Mapping[str, Record]) -> float | None:
     """One, and what the switch adds to the gap of the same camera without it, in floors; None where one of
-    the two is not known. Where a base is right it is the gap over its floor."""
+    the two is not known. Where a base is right, and beside plain pictures, it is the gap over its floor; one
+    where the gap is no larger than what two files leave."""
+    if beside(record):
+        own = record.get("report", {}).get("gap")
+        return None if own is None else own["before"] / own["floor"] if own["floor"] else 1.0
     plain = records.get(record["truth"]["plain"])
     if plain is None or "report" not in plain or "report" not in record:
         return None
@@ -91,8 +113,8 @@ def groups(records: Sequence[Record]) -> dict[str, list[Record]]:
         name = f"effects of {low:g} to {high:g} floors" if low > -inf else f"effects below {high:g} floors"
         found[name] = [r for own, r in sized if own is not None and low <= own < high]
     found["effects, size not known"] = [r for own, r in sized if own is None]
-    found["nothing added"] = [r for r in records if r["truth"]["truth"] == NONE]
-    found["outside the library"] = [r for r in records if r["truth"]["truth"] == OUTSIDE]
+    found["nothing added"] = of_nothing(records, NONE)
+    found["outside the library"] = of_nothing(records, OUTSIDE)
     return found
 
 

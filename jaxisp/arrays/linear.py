@@ -5,14 +5,14 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
-from jax.extend.core import Primitive
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from jaxisp.arrays.dtypes import given_and_exact
@@ -22,7 +22,14 @@ from jaxisp.arrays.varying import alike
 _linear = Primitive("linear_with_transpose")
 _linear.multiple_results = True
 
-Flat = Callable[..., list[jax.Array]]
+Flat = Callable[..., Any]
+
+
+class _Traced(NamedTuple):
+    """A function of arrays, and what it was traced to: this is run, and the function transformed."""
+
+    fn: Flat
+    jaxpr: ClosedJaxpr
 
 
 def linear_call(
@@ -43,55 +50,61 @@ def linear_call(
     residuals, x = alike((residuals, x))
     fixed, fixed_tree = jax.tree.flatten(residuals)
     moving, x_tree = jax.tree.flatten(x)
-    y_tree = jax.tree.structure(jax.eval_shape(fn, residuals, x))
 
     def flat(of: Callable[[Any, Any], Any], tree: Any) -> Flat:
-        def call(*leaves: jax.Array) -> list[jax.Array]:
-            there = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
-            return jax.tree.leaves(of(there, jax.tree.unflatten(tree, leaves[len(fixed) :])))
+        def call(*leaves: jax.Array) -> Any:
+            known = jax.tree.unflatten(fixed_tree, leaves[: len(fixed)])
+            return of(known, jax.tree.unflatten(tree, leaves[len(fixed) :]))
 
         return call
 
-    y = _linear.bind(
-        *fixed, *moving, forward=flat(fn, x_tree), backward=flat(transpose, y_tree), fixed=len(fixed)
-    )
+    # traced here for the shape and for the program: nested, it would be three times as often a level
+    there = flat(fn, x_tree)
+    jaxpr, shapes = jax.make_jaxpr(there, return_shape=True)(*fixed, *moving)
+    y_tree = jax.tree.structure(shapes)
+    how = {"forward": _Traced(there, jaxpr), "backward": flat(transpose, y_tree), "fixed": len(fixed)}
+    y = _linear.bind(*fixed, *moving, **how)
     return jax.tree.unflatten(y_tree, y)
 
 
-def _run(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[jax.Array]:
-    return forward(*leaves)
+def _run(*leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> list[jax.Array]:
+    return jaxpr_as_fun(forward.jaxpr)(*leaves)
 
 
-def _abstract(*leaves: Any, forward: Flat, backward: Flat, fixed: int) -> list[Any]:
-    return list(jax.make_jaxpr(forward)(*leaves).out_avals)
+def _abstract(*leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> list[Any]:
+    return list(forward.jaxpr.out_avals)
 
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], **how: Any) -> tuple[Any, Any]:
-    fixed, forward = how["fixed"], how["forward"]
+    fixed, forward = how["fixed"], how["forward"].fn
     y = _linear.bind(*primals, **how)
     moved = [ad.instantiate_zeros(t) for t in tangents[fixed:]]
     change = _linear.bind(*primals[:fixed], *moved, **how)
     if any(type(t) is not ad.Zero for t in tangents[:fixed]):
         moved = [ad.instantiate_zeros(t) for t in tangents[:fixed]]
-        by_fixed = jax.jvp(lambda *r: forward(*r, *primals[fixed:]), tuple(primals[:fixed]), tuple(moved))[1]
+        by_fixed = jax.jvp(
+            lambda *r: jax.tree.leaves(forward(*r, *primals[fixed:])), tuple(primals[:fixed]), tuple(moved)
+        )[1]
         change = [a + b for a, b in zip(change, by_fixed)]
     return y, change
 
 
-def _transpose(cotangents: Sequence[Any], *leaves: Any, forward: Flat, backward: Flat, fixed: int) -> Any:
-    known = leaves[:fixed]
+def _transpose(cotangents: Sequence[Any], *leaves: Any, forward: _Traced, backward: Flat, fixed: int) -> Any:
+    known, moved = leaves[:fixed], [ad.instantiate_zeros(c) for c in cotangents]
     pulled = _linear.bind(
         *known,
-        *(ad.instantiate_zeros(c) for c in cotangents),
-        forward=backward,
-        backward=forward,
+        *moved,
+        forward=_traced(backward, *known, *moved),
+        backward=forward.fn,
         fixed=fixed,
     )
     wanted = zip(pulled, leaves[fixed:])
     return [None] * fixed + [p if ad.is_undefined_primal(x) else None for p, x in wanted]
 
 
-def _batch(leaves: Sequence[Any], dims: Sequence[Any], *, forward: Flat, backward: Flat, fixed: int) -> Any:
+def _batch(
+    leaves: Sequence[Any], dims: Sequence[Any], *, forward: _Traced, backward: Flat, fixed: int
+) -> Any:
     size = next(v.shape[d] for v, d in zip(leaves, dims) if d is not None)
 
     def front(v: Any, d: Any) -> Any:
@@ -103,10 +116,15 @@ def _batch(leaves: Sequence[Any], dims: Sequence[Any], *, forward: Flat, backwar
     axes = [None if d is None else 0 for d in dims[:fixed]]
     shared = [v if a is None else front(v, d) for v, d, a in zip(leaves, dims, axes)]
     moving = [front(v, d) for v, d in zip(leaves[fixed:], dims[fixed:])]
-    there = jax.vmap(forward, in_axes=(*axes, *[0] * len(moving)))
-    results = len(jax.eval_shape(there, *shared, *moving))
+    there = jax.vmap(forward.fn, in_axes=(*axes, *[0] * len(moving)))
+    results = len(forward.jaxpr.out_avals)
     back = jax.vmap(backward, in_axes=(*axes, *[0] * results))
-    return _linear.bind(*shared, *moving, forward=there, backward=back, fixed=fixed), [0] * results
+    forward = _traced(there, *shared, *moving)
+    return _linear.bind(*shared, *moving, forward=forward, backward=back, fixed=fixed), [0] * results
+
+
+def _traced(fn: Flat, *leaves: Any) -> _Traced:
+    return _Traced(fn, jax.make_jaxpr(fn)(*leaves))
 
 
 _linear.def_impl(_run)

@@ -40,8 +40,17 @@ def pad(
             a CPU stores the columns alone, and the readers look the rows up.
     """
     margins = (radius, radius) if isinstance(radius, int) else radius
-    rows, columns = widths = [(m, m) if isinstance(m, int) else m for m in margins]
-    wide = plane.shape[1] > _NARROW
+    rows, columns = ((m, m) if isinstance(m, int) else m for m in margins)
+    return _bordered(plane, rows, columns, mode, whole)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3, 4))
+def _bordered(
+    plane: jax.Array, rows: tuple[int, int], columns: tuple[int, int], mode: str, whole: bool
+) -> jax.Array:
+    # a function of its own: a stage pads many planes alike, and each kind is traced and written down once
+    widths, wide = (rows, columns), plane.shape[1] > _NARROW
+    shape, dtype = plane.shape, plane.dtype
     if mode == "constant" or not any(rows) or (whole and wide and any(columns)):
         return lax.optimization_barrier(_joined(plane, widths, mode))
 
@@ -53,7 +62,7 @@ def pad(
         return _joined(_rows(x, rows, mode), [(0, 0), columns], mode)
 
     def joined_back(_: Any, y: jax.Array) -> jax.Array:
-        like = alike(jnp.zeros(plane.shape, plane.dtype), y)
+        like = alike(jnp.zeros(shape, dtype), y)
         return jax.linear_transpose(lambda x: _joined(x, widths, mode), like)(y)[0]
 
     return lax.optimization_barrier(linear_call(looked_up, joined_back, (), plane))
@@ -131,6 +140,11 @@ def filter_rows_columns(
     Gradient: exact, to the image and to the taps.
     """
     taps_y, taps_x = (jnp.asarray(taps, image.dtype) for taps in (taps_y, taps_x))
+    return _filtered(image, taps_y, taps_x, mode)
+
+
+@partial(jax.jit, static_argnums=3)  # as `_bordered`
+def _filtered(image: jax.Array, taps_y: jax.Array, taps_x: jax.Array, mode: str) -> jax.Array:
     return _filter(store(_filter(image, taps_x, 1, mode)), taps_y, 0, mode)
 
 

@@ -12,7 +12,7 @@ def add_commands(commands: Any) -> None:
     command.add_argument("inputs", nargs="+", metavar="IN", help="pictures, or folders of them")
     command.add_argument(
         "--run", dest="folder", metavar="RUN",
-        help="a folder written by jaxisp train (default: the network that comes with jaxisp, where one does)",
+        help="a folder written by jaxisp train (default: the network that comes with jaxisp)",
     )  # fmt: skip
     command.add_argument(
         "-o", "--out", required=True, metavar="OUT",

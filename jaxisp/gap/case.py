@@ -74,7 +74,7 @@ class Case:
         open_nodes: what of a given base was fitted beside its coordinates.
         seen: effects that the files themselves show.
         unidentifiable: effects that are part of the base and that these pairs cannot show.
-        outliers: pairs that were left out, since the base's tones do not carry over to them.
+        outliers: pairs that were left out, each with the reason.
         reference: (N, H, W, 3) encoded sRGB, where there are clean pictures: these in the noisy ones' tones.
         floor_ci: the 90 % interval of the floor at the base; None where it is not known.
         floor_at: the floor, measured at a point; None where it is the same everywhere. What a file's
@@ -98,7 +98,7 @@ class Case:
     open_nodes: tuple[str, ...] = ()
     seen: tuple[str, ...] = ()
     unidentifiable: tuple[str, ...] = ()
-    outliers: tuple[str, ...] = ()
+    outliers: Mapping[str, str] = dataclasses.field(default_factory=dict)
     reference: np.ndarray | None = None
     floor_ci: tuple[float, float] | None = None
     floor_at: Callable[[Point], Floor] | None = None

@@ -1,7 +1,7 @@
 """Smoothing and sharpening by several rival filters at once: what is known is that it was done, not how."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial, reduce
 from typing import Any
 
@@ -134,7 +134,8 @@ def chroma_denoising(params: ChromaDenoising, image: EncodedRGB) -> EncodedRGB:
     return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
-def _mixed(plane: jax.Array, luma: jax.Array, shares: jax.Array, filters: Sequence[Filter]) -> jax.Array:
+@partial(jax.jit, static_argnums=3)  # traced once for Cb and Cr
+def _mixed(plane: jax.Array, luma: jax.Array, shares: jax.Array, filters: tuple[Filter, ...]) -> jax.Array:
     change = jnp.zeros_like(plane)
     for share, smooth in zip(shares, filters):
         change = change + weighted(lambda y, p, smooth=smooth: smooth(p, y) - p, share, luma, plane)

@@ -11,10 +11,14 @@ from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.plain_raw import Base, plain_parts
 from jaxisp.gap.base.reference import taken_over
+from jaxisp.gap.gauss_newton import fit
+from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.pairs.same_raw import of_same_raws
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import build, plain_freedom
 from jaxisp.io import open_dataset
+from jaxisp.stages.balance import ColorMatrix
 from tests.gap.schema import keeps_the_schema
 from tests.gap.test_given_raw import write
 
@@ -49,7 +53,8 @@ def sets(tmp_path_factory):
 def over(sets, which, reference):
     loaded, theirs = loaded_of(sets[which]), loaded_of(sets[reference])
     pairs, others = raw_pairs(loaded), raw_pairs(theirs)
-    return pairs, others, taken_over(loaded, pairs, theirs, others, fitted_to(theirs, others), ALL)
+    _, same = of_same_raws(loaded, theirs)
+    return pairs, others, taken_over(loaded, pairs, theirs, others, same, fitted_to(theirs, others), ALL)
 
 
 def test_beside_the_same_raw_files_the_base_makes_the_references_pictures(sets):
@@ -77,12 +82,40 @@ def test_effects_act_on_the_references_pictures(sets):
     assert all(names.index(f"use_{e}") < first for e in ("crosstalk", "white_balance"))
     z = np.zeros(len(model.coordinates))
     z[model.indices(["optical_blur"])[0]] = 1.0
-    strange = dataclasses.replace(others, pictures=1 - others.pictures)
     loaded = loaded_of(sets["on"])
     theirs = loaded_of(sets["off"])
-    turned = taken_over(loaded, pairs, theirs, strange, fitted_to(theirs, others), ALL).model
+    strange = [dataclasses.replace(p, picture=1 - p.picture) for p in theirs]
+    turned = taken_over(loaded, pairs, theirs, others, strange, fitted_to(theirs, others), ALL).model
     blurred = turned.render(z, pairs.light)
-    assert np.var(np.diff(blurred, axis=1)) < 0.5 * np.var(np.diff(strange.pictures, axis=1))
+    assert np.var(np.diff(blurred, axis=1)) < 0.5 * np.var(np.diff(raw_pairs(strange).pictures, axis=1))
+
+
+def test_a_known_effect_is_measured_under_a_wrong_base(sets):
+    """What the base errs by is on both sides, so that it cancels; with the base alone it biases the fit."""
+    amount = 1.3
+    theirs = loaded_of(sets["off"])
+
+    def saturated(picture):
+        grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
+        return np.float32(np.clip(grey[..., None] + amount * (picture - grey[..., None]), 0, 1))
+
+    loaded = [dataclasses.replace(p, picture=saturated(p.picture)) for p in theirs]
+    pairs, others = raw_pairs(loaded), raw_pairs(theirs)
+    base = fitted_to(theirs, others)
+    turned = base.model.shared["color_matrix"].matrix @ np.float32(
+        [[0.9, 0.2, 0], [0, 0.7, 0], [0, 0.3, 0.8]]
+    )
+    wrong = base._replace(
+        model=base.model.with_shared(base.model.shared | {"color_matrix": ColorMatrix(matrix=turned)})
+    )
+    found = []
+    for same in (of_same_raws(loaded, theirs)[1], []):
+        model = taken_over(loaded, pairs, theirs, others, same, wrong, ALL).model
+        objective, own = PixelObjective.of(pairs), model.indices(["saturation"])
+        fitted = fit(objective, objective.at(model, np.zeros(len(model.coordinates))), own, steps=4).point
+        found.append(model.params(fitted.z)["saturation"].amount)
+    assert found[0] == pytest.approx(amount, abs=0.01)
+    assert abs(found[1] - amount) > 0.1
 
 
 def test_beside_other_raw_files_the_bases_gap_is_the_floor(sets):
@@ -96,7 +129,7 @@ def test_another_pattern_is_another_camera(sets):
     loaded, theirs = loaded_of(sets["on"]), loaded_of(sets["off"])
     turned = [dataclasses.replace(p, raw=dataclasses.replace(p.raw, cfa="BGGR")) for p in theirs]
     with pytest.raises(InputError, match="colour filter array"):
-        taken_over(loaded, raw_pairs(loaded), turned, raw_pairs(turned), None, ALL)
+        taken_over(loaded, raw_pairs(loaded), turned, raw_pairs(turned), [], None, ALL)
 
 
 def test_a_reference_of_another_kind_is_refused(sets, tmp_path):

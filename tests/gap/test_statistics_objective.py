@@ -55,7 +55,7 @@ def begun():
 
 def distorted(model, z, shift=SHIFT):
     moved = z.copy()
-    moved[model.indices(["geometric_distortion"])] = shift
+    moved[model.indices(["geometric_distortion"])[0]] = shift
     return moved
 
 

@@ -12,24 +12,26 @@ from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.io.jpeg import decode_jpeg
 
 
-def saved(picture, quality=88):
+def saved(picture, quality=88, sampling=0):
     """A picture (H, W, 3) in steps as Pillow stores it."""
     data = io.BytesIO()
     Image.fromarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8)).save(
-        data, "jpeg", quality=quality, subsampling=0
+        data, "jpeg", quality=quality, subsampling=sampling
     )
     return decode_jpeg(data.getvalue(), "a")
 
 
+@pytest.mark.parametrize("sampling", [0, 2])
 @pytest.mark.parametrize("strength", [0.5, 2.0, 6.0, 20.0])
-def test_it_has_the_energy_that_a_known_change_leaves(strength):
+def test_it_has_the_energy_that_a_known_change_leaves(strength, sampling):
+    """Both files sample chroma alike, which is no part of what they leave."""
     rng = np.random.default_rng(0)
     texture = 40 * gaussian_filter(
         rng.standard_normal((128, 128, 3)), (1.2, 1.2, 0)
     ) + 6 * rng.standard_normal((128, 128, 1))
     first = 128 + texture + 30 * np.sin(np.arange(128) / 9)[:, None, None]
     change = strength * gaussian_filter(rng.standard_normal((128, 128, 1)), (0.6, 0.6, 0))
-    files = saved(first), saved(first + change)
+    files = saved(first, sampling=sampling), saved(first + change, sampling=sampling)
     shown = [np.asarray(f.image, np.float32)[None] for f in files]
     left = to_steps(shown[1][INNER]) - to_steps(shown[0][INNER]) - change[None][INNER] * [1.0, 0, 0]
     found = stored_twice(*shown, ([files[0]], [files[1]]))

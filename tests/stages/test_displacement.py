@@ -138,8 +138,9 @@ def weights(places, count, sharpness):
 @pytest.mark.parametrize("sharpness", [0.4, 1.0, 2.0])
 def test_radial_warp_reads_by_cubic_convolution(sharpness, x64):
     image = picture(dtype=float)
-    out = apply(optics.RadialWarp(k1=-0.11, sharpness=sharpness), image)
-    places = [c + d * (1 - 0.11 * squared_radius()) for c, d in zip(CENTRE, offsets())]
+    out = apply(optics.RadialWarp(k1=-0.11, k0=0.03, k2=0.02, sharpness=sharpness), image)
+    factor = np.polynomial.Polynomial([1.03, -0.11, 0.02])(squared_radius())
+    places = [c + d * factor for c, d in zip(CENTRE, offsets())]
     down, across = (weights(p, n, sharpness) for p, n in zip(places, (H, W)))
     want = np.einsum("hwa,hwb,abc->hwc", down, across, image)
     np.testing.assert_allclose(out[3:-3, 3:-3], want[3:-3, 3:-3], atol=1e-12)

@@ -29,7 +29,9 @@ def elsewhere(monkeypatch):
     def call(fn, *args):
         with monkeypatch.context() as patched:
             patched.setattr(lax, "platform_dependent", other)
+            jax.clear_caches()  # helpers keep what they were traced to
             y = jax.jit(lambda *args: fn(*args))(*args)
+        jax.clear_caches()
         assert taken, "nothing asked for the device"
         return y
 

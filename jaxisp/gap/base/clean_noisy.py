@@ -38,6 +38,8 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
 _SMOOTHING = 2.0
+_TWO_SCENES = "its two pictures are hardly alike, and far from what fits the others: they show two scenes"
+_NOT_CARRIED = "colours and tones of the fitted pairs do not carry over: more pairs, of scenes that differ"
 _OUTLIER = 12.0
 """Largest mean squared error of a held-out pair, relative to the median of the fitted pairs. Beyond it, the
 fitted matrix and curve do not generalise to the pair's colours."""
@@ -98,7 +100,8 @@ def clean_case(
         case = clean_case(
             kept, simulator, exclude, seed, tick, is_camera=is_camera, uncertain=uncertain, criteria=criteria
         )
-        return dataclasses.replace(case, outliers=(*outliers, *case.outliers))
+        reasons = {name: _TWO_SCENES if name in uncertain else _NOT_CARRIED for name in outliers}
+        return dataclasses.replace(case, outliers=reasons | dict(case.outliers))
     if simulator is None:
         case, mean, _ = fitted_plain(pairs, mean, effects, file, cfa, seed, tick)
     else:

@@ -14,14 +14,16 @@ from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, 
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
 from jaxisp.gap.base.plain_raw import Base, raw_model
 from jaxisp.gap.base.reference import OnReference, on_reference
-from jaxisp.gap.case import Case, Floor, Tick
+from jaxisp.gap.case import Case, Floor, Gap, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.pairs.crops import usable
 from jaxisp.gap.pairs.earlier_grid import earlier_grid
 from jaxisp.gap.pairs.headers import raws_of, stated_by
 from jaxisp.gap.pairs.pairs import to_steps
+from jaxisp.gap.pairs.same_raw import of_same_raws
 from jaxisp.gap.pairs.scenes import Split, by_scene, split_of
 from jaxisp.gap.pairs.stored_twice import stored_twice
 from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
@@ -35,6 +37,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
 
 _SAMPLING = "chroma_subsampling"
+_NO_COUNTERPART = "the reference has no picture of its RAW file, and of others it has"
 
 
 def camera_model(camera: Recipe, loaded: Sequence[Loaded], effects: Sequence[Effect]) -> Model:
@@ -120,13 +123,18 @@ def raw_case(
         criteria: thresholds of the verdict.
         reference: pairs of the same camera without the effect, which the base is fitted to in place of these.
     """
+    kept, same = of_same_raws(loaded, reference)
+    outliers = {p.name: _NO_COUNTERPART for p in loaded if kept and p.name not in {k.name for k in kept}}
+    loaded = kept or loaded
     pairs, file = raw_pairs(loaded), loaded[0].jpeg
+    if same:  # what the reference has clipped tells nothing either
+        pairs = dataclasses.replace(pairs, mask=pairs.mask & usable(raw_pairs(same).pictures))
     split = split_of(pairs.names) if split is None else split
     effects = candidates(RAW_JPEG, exclude)
     tick(0, criteria.most_causes, "fitting the base")
     taken, about = None, {}
     if reference:
-        taken = on_reference(loaded, pairs, reference, effects, criteria)
+        taken = on_reference(loaded, pairs, reference, same, effects, criteria)
         base = Base(taken.model, unidentifiable=taken.unidentifiable)
     elif camera is None:
         base = raw_model(loaded, pairs, effects, split.fit, criteria)
@@ -155,7 +163,7 @@ def raw_case(
         stated.add("double_compression")
     apart = stated | {*absorbed, *base.unidentifiable}
     files = [p.jpeg for p in loaded]
-    stored, floors, left = _floors(objective, at, files, taken)
+    stored, floors, left = _floors(objective, at, (files, [p.jpeg for p in same]), taken, criteria)
 
     def floor_at(point: Point) -> Floor:
         units, held = objective.floor_units(objective.floor_difference(point, files)), list(split.held_out)
@@ -173,26 +181,44 @@ def raw_case(
         reference_gap=left,
         seen=seen,
         unidentifiable=base.unidentifiable,
+        outliers=outliers,
     )  # fmt: skip
 
 
 def _floors(
-    objective: PixelObjective, at: Point, files: Sequence[Jpeg | None], taken: OnReference | None
+    objective: PixelObjective,
+    at: Point,
+    files: tuple[Sequence[Jpeg | None], Sequence[Jpeg | None]],
+    taken: OnReference | None,
+    criteria: Criteria,
 ) -> tuple[np.ndarray, np.ndarray, float | None]:
-    """What a right simulator would leave.
+    """What a right simulator would leave; of the files, and of the reference's of the same RAWs.
+
+    Two files with one header that come from one RAW are the same where nothing has changed. So there is a gap
+    though it be no larger than what two compressions leave; all of it counts then.
 
     Returns:
         (N, h, w, 3) what the files do to the pictures; (N,) the gap of each pair; the gap of the reference.
     """
     if taken is not None and taken.same is not None:
-        stored = stored_twice(taken.same, objective.pairs.pictures, (taken.files, files))
-        floors = objective.mean_squares(stored * objective.weight)
-        return stored, floors, float(floors[list(objective.split.held_out)].mean())
-    stored = objective.floor_difference(at, files)
+        stored = stored_twice(taken.same, objective.pairs.pictures, files[::-1])
+        floors, held = objective.mean_squares(stored * objective.weight), list(objective.split.held_out)
+        gap = Gap(float(at.errors[held].mean()), float(floors[held].mean()), criteria.least_unit)
+        if all(map(_one_header, *files)) and not gap.exceeds(criteria.null_drop):
+            floors = np.zeros_like(floors)
+        return stored, floors, float(floors[held].mean())
+    stored = objective.floor_difference(at, files[0])
     floors = objective.floor_errors(stored)
     if taken is None or taken.gap is None:
         return stored, floors, None
     return stored, np.maximum(floors, taken.gap), taken.gap
+
+
+def _one_header(one: Jpeg | None, other: Jpeg | None) -> bool:
+    """Whether two files quantise and sample alike."""
+    if one is None or other is None:
+        return one is other
+    return one.subsampling == other.subsampling and np.array_equal(one.tables, other.tables)
 
 
 def _given(camera: Recipe | None, on_reference: bool) -> str | None:

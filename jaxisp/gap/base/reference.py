@@ -17,12 +17,13 @@ from jaxisp.gap.base.plain_raw import Base, plain_parts, raw_model, stated_gains
 from jaxisp.gap.criteria import Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.pairs.file_noise import file_noise
 from jaxisp.gap.pairs.headers import raws_of
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import split_of
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Model, build
-from jaxisp.gap.simulator.remainder import REMAINDER, Remainder, with_remainder
+from jaxisp.gap.simulator.remainder import FILE_NOISE, REMAINDER, Remainder, with_remainder
 from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.io import Jpeg
 from jaxisp.io.datasets import Loaded
@@ -38,14 +39,12 @@ class OnReference(NamedTuple):
         gap: what the base leaves on the reference's held-out pairs; None where reference pictures are a part
             of the base.
         same: (N, H, W, 3) the reference's pictures of the same RAW files; None where there are none.
-        files: their headers.
         unidentifiable: effects that the reference cannot show.
     """
 
     model: Model
     gap: float | None
     same: np.ndarray | None
-    files: Sequence[Jpeg | None]
     unidentifiable: tuple[str, ...]
 
 
@@ -53,6 +52,7 @@ def on_reference(
     loaded: Sequence[Loaded],
     pairs: Pairs,
     reference: Sequence[Loaded],
+    same: Sequence[Loaded],
     effects: Sequence[Effect],
     criteria: Criteria,
 ) -> OnReference:
@@ -63,7 +63,7 @@ def on_reference(
     """
     theirs = raw_pairs(reference)
     fitted = raw_model(reference, theirs, [], split_of(theirs.names).fit, criteria)
-    return taken_over(loaded, pairs, reference, theirs, fitted, effects)
+    return taken_over(loaded, pairs, reference, theirs, same, fitted, effects)
 
 
 def taken_over(
@@ -71,6 +71,7 @@ def taken_over(
     pairs: Pairs,
     reference: Sequence[Loaded],
     theirs: Pairs,
+    same: Sequence[Loaded],
     fitted: Base,
     effects: Sequence[Effect],
 ) -> OnReference:
@@ -79,6 +80,8 @@ def taken_over(
     Args:
         loaded, pairs: what is diagnosed, and the same cropped alike.
         reference, theirs: pairs of the same camera without the effect, and the same cropped alike.
+        same: the reference's pair of each RAW file that is diagnosed, see `of_same_raws`; empty where there
+            are none.
         fitted: the plain base on these.
         effects: to be tried. Those that a fitted base absorbs are among them: this one is not fitted.
 
@@ -92,12 +95,11 @@ def taken_over(
             "pairs of the same camera, cut at the same place of its pattern"
         )
     model = _taken_over(fitted.model, loaded, pairs, stated_gains(raws), effects)
-    same = _same_raws(loaded, pairs, reference, theirs)
-    if same is None:
-        return OnReference(model, _gap(fitted.model, theirs), None, (), fitted.unidentifiable)
-    pictures = np.stack([theirs.pictures[i] for i in same]).astype(np.float32)
-    model = _with_pictures(model, pairs, pictures)
-    return OnReference(model, None, pictures, [reference[i].jpeg for i in same], fitted.unidentifiable)
+    if not same:
+        return OnReference(model, _gap(fitted.model, theirs), None, fitted.unidentifiable)
+    pictures = raw_pairs(same).pictures
+    model = _with_pictures(model, pairs, pictures, [p.jpeg for p in same])
+    return OnReference(model, None, pictures, fitted.unidentifiable)
 
 
 def _taken_over(
@@ -115,7 +117,7 @@ def _taken_over(
         balance = per_pair["mosaic_white_balance"]
         neutral = WhiteBalance(gains=np.ones_like(balance.gains))
         per_pair |= {"mosaic_white_balance": neutral, "later_balance": balance}
-    chain, added = with_remainder(chain, len(loaded), pairs.mask.shape[1:])
+    chain, added = with_remainder(chain, len(loaded), pairs.mask.shape[1:], of_file=True)
     stated = {"chroma_subsampling"}
     own = {name: v for name, v in fitted.shared.items() if name in params and name not in stated}
     model = build(chain, params | own, per_pair | added, [], effects)
@@ -125,27 +127,16 @@ def _taken_over(
     return dataclasses.replace(model, effects={name: moves for name, moves in moving.items() if moves})
 
 
-def _same_raws(
-    loaded: Sequence[Loaded], pairs: Pairs, reference: Sequence[Loaded], theirs: Pairs
-) -> list[int] | None:
-    """Which of the reference's pairs has the RAW of each pair; None unless all have one."""
-    if pairs.light.shape[1:] != theirs.light.shape[1:]:
-        return None
-    own, others = np.asarray(pairs.light), np.asarray(theirs.light)
-    found = []
-    for light in own:
-        same = [i for i, other in enumerate(others) if np.array_equal(light, other)]
-        if not same or same[0] >= len(reference):
-            return None
-        found.append(same[0])
-    return found
+def _with_pictures(model: Model, pairs: Pairs, pictures: np.ndarray, files: Sequence[Jpeg | None]) -> Model:
+    """The model that makes exactly these pictures (N, H, W, 3) while its effects are off.
 
-
-def _with_pictures(model: Model, pairs: Pairs, pictures: np.ndarray) -> Model:
-    """The model that makes exactly these pictures (N, H, W, 3) while its effects are off."""
+    Effects act on them less what their files did to them, as far as frequencies tell.
+    """
     z = np.zeros(len(model.coordinates))
     made = render(model.chain, model.params(z), model.per_pair, pairs.light, None, Kept())
-    per_pair: Params = {REMAINDER: Remainder(added=np.asarray(pictures - made, np.float32))}
+    beyond = np.asarray(pictures - made, np.float32)
+    noise = file_noise(beyond, pictures, files)
+    per_pair: Params = {REMAINDER: Remainder(added=beyond - noise), FILE_NOISE: Remainder(added=noise)}
     return dataclasses.replace(model, per_pair=model.per_pair | per_pair, kept=Kept())
 
 

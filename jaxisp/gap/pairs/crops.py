@@ -12,7 +12,7 @@ from jaxisp.io.datasets import Loaded
 
 SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
-_GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
+GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
 
 def common_crop(loaded: Sequence[Loaded]) -> list[tuple[slice, slice]]:
@@ -31,7 +31,7 @@ def common_crop(loaded: Sequence[Loaded]) -> list[tuple[slice, slice]]:
         )
     crops = []
     for shape in sizes:
-        starts = [(n - wanted) // 2 // _GRID * _GRID for n, wanted in zip(shape, size)]
+        starts = [(n - wanted) // 2 // GRID * GRID for n, wanted in zip(shape, size)]
         crops.append((slice(starts[0], starts[0] + size[0]), slice(starts[1], starts[1] + size[1])))
     return crops
 

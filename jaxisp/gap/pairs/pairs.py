@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.color import rgb_to_ycbcr_planes
+from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 
 BORDER = 8  # px that are not compared: filters see mirrored pixels there
 INNER = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
@@ -54,3 +54,9 @@ def to_steps(pictures: np.ndarray) -> np.ndarray:
 @jax.jit
 def _to_steps(pictures: jax.Array) -> jax.Array:
     return 255 * jnp.stack(rgb_to_ycbcr_planes(*jnp.moveaxis(jnp.asarray(pictures, jnp.float32), -1, 0)), -1)
+
+
+def to_rgb(steps: np.ndarray) -> np.ndarray:
+    """(..., 3) Y'CbCr in 8-bit steps to (..., 3) RGB in [0, 1], float32: the inverse of `to_steps`."""
+    planes = jnp.moveaxis(jnp.asarray(steps, jnp.float32) / 255, -1, 0)
+    return np.asarray(jnp.stack(ycbcr_to_rgb_planes(*planes), -1))

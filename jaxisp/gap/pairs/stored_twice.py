@@ -6,11 +6,11 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 from jaxisp.gap.pairs.pairs import INNER, to_steps
-from jaxisp.gap.pairs.stored import as_stored
+from jaxisp.gap.pairs.stored import quantised_off_grid
 from jaxisp.io import Jpeg
 
 _OFF_GRID = ((3, 3), (5, 5))
-"""Rows and columns by which a picture is moved before it is compressed: on its own grid nothing is lost."""
+"""Rows and columns by which a picture is moved before it is compressed, once for each file."""
 _SAME = 1.5
 """Difference of coefficients [8-bit steps] that rounding of decoded pixels makes."""
 
@@ -29,15 +29,10 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
         first, second: (N, H, W, 3) encoded, their 8x8 blocks at the top-left corner.
         files: their headers, N each.
     """
-    total = np.zeros(first[INNER].shape, np.float32)
-    for own, (y, x) in zip(files, _OFF_GRID):
-        moved = np.roll(first, (y, x), (1, 2))
-        stored = np.stack([as_stored(p, f) for p, f in zip(moved, own)])
-        back = np.roll(stored, (-y, -x), (1, 2))
-        total += to_steps(back[INNER]) - to_steps(first[INNER])
+    total = np.sum([quantised_off_grid(first, *how)[INNER] for how in zip(files, _OFF_GRID)], 0)
     if any(file is None for own in files for file in own):
         return total  # what is not quantised in blocks
-    change, whole = _blocks(to_steps(second[INNER]) - to_steps(first[INNER])), _blocks(total)
+    change, whole = blocks_of(to_steps(second[INNER]) - to_steps(first[INNER])), blocks_of(total)
     moved = np.abs(change) >= _SAME
     stay = 1 - moved.mean((0, 1, 3))
     both = (whole**2).mean((0, 1, 3)) + 1e-9
@@ -50,7 +45,7 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     return total
 
 
-def _blocks(pictures: np.ndarray) -> np.ndarray:
+def blocks_of(pictures: np.ndarray) -> np.ndarray:
     """(N, h / 8, 8, w / 8, 8, 3) coefficients of whole 8x8 blocks."""
     n, height, width = (s // 8 * 8 if i else s for i, s in enumerate(pictures.shape[:3]))
     blocks = pictures[:, :height, :width].reshape(n, height // 8, 8, width // 8, 8, 3)

@@ -39,10 +39,6 @@ METRIC = {
 }
 
 
-_TWO_SCENES = "its two pictures are hardly alike, and far from what fits the others: they show two scenes"
-_OUTLIER = "colours and tones of the fitted pairs do not carry over to it: more pairs, of scenes that differ"
-
-
 def is_gap(case: Case, gap: Gap, found: Found) -> bool:
     """Whether the gap exceeds that of cameras that lack no effect, or a cause was accepted."""
     return bool(found.causes) or gap.exceeds(case.criteria.null_excess)
@@ -113,15 +109,13 @@ def _power(smallest: Mapping[str, tuple[int, float]], model: Model) -> dict[str,
     return found
 
 
-def _aligned(aligned: Aligned, outliers: tuple[str, ...]) -> dict[str, Any]:
+def _aligned(aligned: Aligned, outliers: Mapping[str, str]) -> dict[str, Any]:
     """Alignment of the used pairs; pairs and files that are left out; encoders that are not modelled; what
     RAW files state that is not applied."""
     rows = {row["name"]: row for row in aligned.rows}
     return {
         "aligned": [row for name, row in rows.items() if name not in outliers],
-        "left_out": [
-            {"name": name, "reason": _OUTLIER if rows[name]["certain"] else _TWO_SCENES} for name in outliers
-        ],
+        "left_out": [{"name": name, "reason": reason} for name, reason in outliers.items()],
         "failed": [{"file": name, "reason": reason} for name, reason in aligned.failed],
         "encoder_not_modelled": [
             {"name": pair.name, "reason": why}

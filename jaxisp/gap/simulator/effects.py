@@ -212,6 +212,8 @@ _add(
 _add(
     "geometric_distortion", stage("radial_warp"), "scene",
     [Move("k1", 0.004, -0.1, 0.1, both_sides=True, far=(-0.055, -0.02, 0.02, 0.055)),
+     Move("k0", 0.004, -0.1, 0.1, both_sides=True, far=(-0.02, -0.008, 0.008, 0.02)),
+     Move("k2", 0.004, -0.07, 0.07, both_sides=True),
      Move("sharpness", 0.5, -1, 1, off=1)],
     "radius edge", "lateral_chromatic_aberration",
 )  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from jaxisp.camera import with_cfa
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move
-from jaxisp.gap.simulator.remainder import PICTURE_LIGHT
+from jaxisp.gap.simulator.remainder import FILE_NOISE, PICTURE_LIGHT
 from jaxisp.gap.simulator.render import Kept, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
@@ -246,7 +246,7 @@ def _sites(nodes: Sequence[Node]) -> dict[str, int]:
         end -= 1
     last = nodes[end - 1]
     clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
-    after = {"encoded": end - clipped, "output": end}
+    after = {"encoded": end - clipped - (last.name == FILE_NOISE), "output": end}
     if PICTURE_LIGHT in names:  # light is seen in the picture itself, and so is the lens beside a RAW
         light = names.index(PICTURE_LIGHT) + 1
         after["linear"] = light

@@ -5,6 +5,7 @@ is the same as if the mosaic had been continued by its mirror image.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -29,6 +30,12 @@ def neighbours(plane: jax.Array, offsets: Sequence[tuple[int, int]]) -> tuple[ja
 
     Gradient: exact; the transpose is written as reads, see `demosaic.linear`.
     """
+    return _neighbours(plane, tuple(offsets))
+
+
+@partial(jax.jit, static_argnums=1)
+def _neighbours(plane: jax.Array, offsets: tuple[tuple[int, int], ...]) -> tuple[jax.Array, ...]:
+    shape, dtype = plane.shape, plane.dtype
     radius = max(max(abs(dy), abs(dx)) for dy, dx in offsets)
 
     def seen(_: None, x: jax.Array) -> tuple[jax.Array, ...]:
@@ -39,7 +46,7 @@ def neighbours(plane: jax.Array, offsets: Sequence[tuple[int, int]]) -> tuple[ja
             views(pad(c, 2 * radius, "constant"), [(-dy, -dx)], radius)[0]
             for c, (dy, dx) in zip(cotangents, offsets, strict=True)
         ]
-        like = alike(jnp.zeros(plane.shape, plane.dtype), wide[0])
+        like = alike(jnp.zeros(shape, dtype), wide[0])
         return jax.linear_transpose(lambda x: pad(x, radius), like)(materialize(sum(wide)))[0]
 
     return linear_call(seen, collected, None, plane)

@@ -21,9 +21,11 @@ _SHARPNESS = "0 linear interpolation, 1 Keys' cubic with a = -1/2, in proportion
 
 @parameters
 class RadialWarp:
-    """Radial distortion, and how it is interpolated."""
+    """Radial distortion with a change of scale, and how it is interpolated."""
 
     k1: Leaf = param(0.0, (-0.2, 0.2), "1", doc="coefficient of r**2; positive is barrel distortion")
+    k0: Leaf = param(0.0, (-0.1, 0.1), "1", doc="constant coefficient; positive shows more of the scene")
+    k2: Leaf = param(0.0, (-0.07, 0.07), "1", doc="coefficient of r**4")
     sharpness: Leaf = param(1.0, (0.0, 2.0), "1", doc=_SHARPNESS)
 
 
@@ -31,12 +33,12 @@ class RadialWarp:
 def radial_warp(params: RadialWarp, image: LinearRGB) -> LinearRGB:
     """`geometric_distortion` by interpolation that may be sharper.
 
-    `y(p) = x(centre + (p - centre) * (1 + k1 r**2))`, r = 1 in the corner, where x is read between its pixels
-    by `L - sharpness f (1 - f) / 2 L D` along each axis: L is linear interpolation at the fraction f, D the
-    second difference.
+    `y(p) = x(centre + (p - centre) * (1 + k0 + k1 r**2 + k2 r**4))`, r = 1 in the corner, where x is read
+    between its pixels by `L - sharpness f (1 - f) / 2 L D` along each axis: L is linear interpolation at the
+    fraction f, D the second difference. A corrected lens has all three: k0 keeps the frame filled.
 
     Args:
-        params: k1, which at 0 leaves the image as it is, bit for bit; sharpness.
+        params: coefficients, which at 0 leave the image as it is, bit for bit; sharpness.
         image: (H, W, 3) linear light, any range.
 
     Returns:
@@ -49,7 +51,9 @@ def radial_warp(params: RadialWarp, image: LinearRGB) -> LinearRGB:
     digital image processing".
     """
     y, x = from_centre(image.shape, image.dtype)
-    change = radius_squared(image.shape, image.dtype) * jnp.asarray(params.k1, image.dtype)
+    k0, k1, k2 = (jnp.asarray(k, image.dtype) for k in (params.k0, params.k1, params.k2))
+    squared = radius_squared(image.shape, image.dtype)
+    change = k0 + squared * (k1 + squared * k2)
     return _read(image, change * y, change * x, params.sharpness)
 
 
