@@ -209,6 +209,7 @@ def test_the_command_refuses_before_it_draws(folders, tmp_path, capsys):
     options = ["adapt", str(folders / "noisy"), "--clean", str(folders / "clean"), "--recipe", str(mine)]
     refused = [
         (["-o", mine], "is an input, and would be overwritten"),
+        (["-o", mine, "--recipe", f"{mine}-phases"], "is an input, and would be overwritten"),
         (["-o", folders / "clean" / "0.png"], "is an input, and would be overwritten"),
         (["-o", out, "--steps", "3"], "give --run RUN too"),
         (["-o", out, "--run", tmp_path / "run", "--start", folders / "noisy" / "0.png"], "holds no network"),

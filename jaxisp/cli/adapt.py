@@ -56,6 +56,7 @@ def run(arguments: Namespace) -> int:
     use_cores()
     from jaxisp.adapt import adapt
     from jaxisp.io.files import filled_file, filled_folder, find_images
+    from jaxisp.recipes import PHASES
     from jaxisp.train.finetune import beginning, fine_tune
 
     pictures = find_images([*arguments.noisy, *(arguments.clean or [])], recursive=True)
@@ -65,7 +66,7 @@ def run(arguments: Namespace) -> int:
             stack.enter_context(beginning(arguments.start))
         elif arguments.start or arguments.steps:
             raise InputError("--start and --steps say how a network is trained: give --run RUN too")
-        stack.enter_context(filled_file(arguments.out, [*pictures, arguments.recipe]))
+        stack.enter_context(filled_file(arguments.out, [*pictures, arguments.recipe.removesuffix(PHASES)]))
         tick = stack.enter_context(progress("adapting"))
         found = adapt(
             arguments.noisy, arguments.recipe, clean=arguments.clean, downsample=arguments.downsample,
