@@ -145,8 +145,12 @@ def adapt(
     ends = np.cumsum(sizes)[:-1]
     columns = [law for law, size in zip(laws.values(), sizes) for _ in range(size)]
     rng = np.random.default_rng(seed)
+    options: dict[str, Any] = {
+        "patch": SIDE, "downsample": downsample, "per_image": per_image, "seed": seed,
+    }  # fmt: skip
+    given = None if clean is None else load_clean(clean, **options)
     crops, skipped = _noisy_crops(noisy, per_image, rng)
-    pictures = _clean(clean, noisy, patch=SIDE, downsample=downsample, per_image=per_image, seed=seed)
+    pictures = given or _smaller(noisy, **options)
     seen = _summaries(crops)
     found, now = [], recipe
     for i in range(ROUNDS):
@@ -189,10 +193,8 @@ def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
                 yield (stage, field), law
 
 
-def _clean(clean: Any, noisy: Any, **options: Any) -> CleanImages:
-    """The clean pictures, or the noisy ones made smaller, which are known to be pictures."""
-    if clean is not None:
-        return load_clean(clean, **options)
+def _smaller(noisy: Any, **options: Any) -> CleanImages:
+    """The noisy pictures made smaller, which are known to be pictures."""
     try:
         return load_clean(noisy, **options)
     except InputError as error:

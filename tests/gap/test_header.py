@@ -120,13 +120,13 @@ def test_a_file_that_samples_chroma_otherwise_is_left_out(tmp_path: Path) -> Non
         assert words in reason
     as_png = [dataclasses.replace(pair, jpeg=None) for pair in loaded]
     assert of_one_sampling(as_png) == (as_png, [])
-    assert loaded[1].jpeg is not None and _aligned(Aligned(loaded, [], []), ())["encoder_not_modelled"] == []
+    assert loaded[1].jpeg is not None and _aligned(Aligned(loaded, [], []), {})["encoder_not_modelled"] == []
     odd = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, subsampling="4:1:1"))
-    (said,) = _aligned(Aligned([odd, *as_png], [], []), ())["encoder_not_modelled"]
+    (said,) = _aligned(Aligned([odd, *as_png], [], []), {})["encoder_not_modelled"]
     assert said["name"] == odd.name and "4:1:1" in said["reason"]
     noted = dataclasses.replace(loaded[1], raw=dataclasses.replace(loaded[1].raw, notes=("it is odd",)))
     plain = dataclasses.replace(loaded[2], raw=dataclasses.replace(loaded[2].raw, notes=()))
-    rows = _aligned(Aligned([noted, plain], [], []), ())["raw_notes"]
+    rows = _aligned(Aligned([noted, plain], [], []), {})["raw_notes"]
     assert rows == [{"name": noted.name, "notes": ["it is odd"]}]
     own = dataclasses.replace(loaded[1], jpeg=dataclasses.replace(loaded[1].jpeg, color_space="RGB"))
     assert "JPEG, 4:4:4, RGB" in of_one_sampling([own, *loaded[2:]])[1][0][1]
