@@ -181,7 +181,7 @@ def test_photographs_that_are_kept_as_crops(rng):
 def test_what_cannot_be_used_is_told(folders, tmp_path):
     write_png(tmp_path / "small.png", np.full((100, 300, 3), 0.5, np.float32))
     with pytest.raises(InputError, match="100x300 px is smaller than a crop of 128 px"):
-        adapt(tmp_path, CAMERAS, clean=folders / "clean", draws=64)
+        adapt(tmp_path, CAMERAS, clean=folders / "clean", downsample=1, draws=64)
     with pytest.raises(InputError, match="draws must be a whole number from 64 on, got 10"):
         adapt(folders / "noisy", CAMERAS, draws=10)
     with pytest.raises(InputError, match="seed = 4294967296: seeds go from 0 to 4294967295"):

@@ -370,7 +370,7 @@ def output_folder(path: PathLike) -> Path:
     if leads_nowhere(path):
         raise InputError(f"{path}: cannot be written: is a link that leads nowhere")
     if os.path.isfile(path):
-        raise InputError(f"{path}: is a file, expected a folder")
+        raise InputError(f"{path}: cannot be written: is a file, expected a folder")
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind

@@ -237,7 +237,7 @@ def test_what_would_show_the_rest_is_said():
 
 def test_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="file: is a file, expected a folder"):
+    with pytest.raises(InputError, match="cannot be written: is a file, expected a folder"):
         write_report(REPORT, PICTURES, tmp_path / "file")
 
 
