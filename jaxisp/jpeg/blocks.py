@@ -74,7 +74,7 @@ def _inverse_1d(x: Rows) -> list[Any]:
 
 
 @functools.cache
-def _fixeddct_matrix() -> np.ndarray:
+def _fixed_dct_matrix() -> np.ndarray:
     """The matrix of the fixed-point 1-D DCT, frequency by sample, times 2**13."""
     return np.stack(_forward_1d(list(np.eye(8, dtype=int))))
 
@@ -235,12 +235,12 @@ def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
 
 def _rows_forward(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W) blocks of samples about 0, times 4; exact in floats."""
-    return shifted(_along_rows(_fixeddct_matrix(), blocks) + (1 << 10), 11)
+    return shifted(_along_rows(_fixed_dct_matrix(), blocks) + (1 << 10), 11)
 
 
 def _rows_inverse(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
-    basis = _fixeddct_matrix().T
+    basis = _fixed_dct_matrix().T
     coarse = (basis + 64) // 128
     high, low = (_along_rows(m, blocks) for m in (coarse, basis - 128 * coarse))
     return shifted(high + shifted(low + (1 << 17), 7), 11)

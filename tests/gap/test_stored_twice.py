@@ -50,3 +50,18 @@ def test_without_files_two_roundings_add_up():
     twice = stored_twice(rough, rough, ([None], [None]))
     luma = 255 * (np.round(255 * rough) / 255 - rough) @ np.array([0.299, 0.587, 0.114])
     assert np.mean(twice[..., 0] ** 2) == pytest.approx(4 * np.mean(luma**2), rel=0.1)
+
+
+@pytest.mark.parametrize(("quality", "sampling"), [(50, 0), (50, 2), (80, 0)])
+def test_files_of_unlike_quality_leave_all_that_they_differ_in(quality, sampling):
+    """Nothing has changed: all of the difference is the coarser file's quantisation."""
+    rng = np.random.default_rng(0)
+    texture = 40 * gaussian_filter(rng.standard_normal((128, 128, 3)), (1.2, 1.2, 0))
+    picture = 128 + texture + 6 * rng.standard_normal((128, 128, 1))
+    files = saved(picture, 95, sampling), saved(picture, quality, sampling)
+    shown = [np.asarray(f.image, np.float32)[None] for f in files]
+    left = to_steps(shown[1][INNER]) - to_steps(shown[0][INNER])
+    found = stored_twice(*shown, ([files[0]], [files[1]]))
+    shares = (found**2).mean((0, 1, 2)) / (left**2).mean((0, 1, 2))
+    assert 0.9 < shares[0] < 1.25
+    assert 0.9 < (found**2).sum() / (left**2).sum() < 1.25

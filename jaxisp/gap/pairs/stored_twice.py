@@ -23,7 +23,8 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     share t of a step, of a coefficient that is anywhere between two levels, moves it by a step with
     probability t: the mean square move is t, and t (1 - t) of it is chance. So what remains of a frequency is
     its mean square move times the share p that stays, at least 1 - p of what two independent roundings leave,
-    and at most all of that.
+    and at most all of that. Where the files quantise by different steps nothing is rounded alike: all of it
+    is left.
 
     Args:
         first, second: (N, H, W, 3) encoded, their 8x8 blocks at the top-left corner.
@@ -34,7 +35,7 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
         return total  # what is not quantised in blocks
     change, whole = blocks_of(to_steps(second[INNER]) - to_steps(first[INNER])), blocks_of(total)
     moved = np.abs(change) >= _SAME
-    stay = 1 - moved.mean((0, 1, 3))
+    stay = (1 - moved.mean((0, 1, 3))) * _alike(files)
     both = (whole**2).mean((0, 1, 3)) + 1e-9
     chance = np.maximum((change**2 * moved).mean((0, 1, 3)) * stay, (1 - stay) * both)
     left = np.minimum(chance / both, 1)
@@ -43,6 +44,15 @@ def stored_twice(first: np.ndarray, second: np.ndarray, files: Sequence[Sequence
     rows, columns = height // 8 * 8, width // 8 * 8
     total[:, :rows, :columns] = shaped.reshape(len(total), rows, columns, 3)
     return total
+
+
+def _alike(files: Sequence[Sequence[Jpeg | None]]) -> np.ndarray:
+    """(8, 8, 3) whether the two files of each pair quantise a frequency of Y', Cb or Cr by the same step, and
+    sample chroma alike."""
+    pairs = [(one, other) for one, other in zip(*files) if one is not None and other is not None]
+    alike = np.all([one.tables == other.tables for one, other in pairs], 0)
+    alike[1:] &= all(one.subsampling == other.subsampling for one, other in pairs)
+    return np.moveaxis(alike, 0, -1)
 
 
 def blocks_of(pictures: np.ndarray) -> np.ndarray:
