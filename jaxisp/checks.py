@@ -181,7 +181,10 @@ def expected(spec: Spec) -> str:
 
 def _is_known(path: str, value: Any) -> bool:
     if isinstance(value, list | tuple):
-        return all([_is_known(path, own) for own in value])  # each is looked at: none may be a text
+        known = [_is_known(path, own) for own in value]  # each is looked at: none may be a text
+        if len({np.shape(own) for own in value}) > 1:
+            raise InputError(f"{path} must be a number or an array, got {short(value)}")
+        return all(known)
     if isinstance(value, jax.Array):
         return not isinstance(value, jax.core.Tracer) and value.is_fully_addressable
     if isinstance(value, np.ndarray | np.generic):
