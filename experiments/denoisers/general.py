@@ -40,7 +40,7 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 TRAINING: dict[str, Any] = {
     "recipe": "any-camera", "model": "levelnet", "target": "camera", "patch": 64, "batch": 16,
     "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
-    "pool": 22_528, "steps": 10_000, "lr": 1e-3, "ema": 0.999, "loss": "log_rms",
+    "pool": 45_056, "steps": 10_000, "lr": 1e-3, "ema": 0.999, "loss": "log_rms",
     "warmup": 300, "log_every": 100,
 }  # fmt: skip
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.color import LUMA_601
 from jaxisp.jpeg.blocks import dct_matrix
 
 CELL = 16
@@ -13,7 +14,7 @@ LEAST = 0.5 / 255
 _DCT, _STRIDE = 8, 4  # as in JPEG files, whose blocks every other one of these meets
 REACH = _DCT - _STRIDE
 """Pixels beyond a cell that its statistics depend on."""
-OPPONENT = ((0.299, 0.587, 0.114), (-0.5, 0.5, 0.0), (-0.25, -0.25, 0.5))
+OPPONENT = (LUMA_601, (-0.5, 0.5, 0.0), (-0.25, -0.25, 0.5))
 """Luma and two differences of colour, which are brought to length 1: white noise is as strong in all."""
 
 
@@ -53,7 +54,7 @@ def cell_statistics(x: jax.Array) -> jax.Array:
     mix = np.asarray(OPPONENT) / np.linalg.norm(OPPONENT, axis=1, keepdims=True)
     y = jnp.einsum("nhwc,dc->ndhw", x.astype(jnp.float32), mix.astype(np.float32), precision="highest")
     y = y.reshape(-1, h, w, 1)
-    y = jnp.pad(y, ((0, 0), (0, _DCT - _STRIDE), (0, _DCT - _STRIDE), (0, 0)), mode="edge")
+    y = jnp.pad(y, ((0, 0), (0, REACH), (0, REACH), (0, 0)), mode="edge")
     waves = np.einsum("vy,ux->yxvu", dct_matrix(), dct_matrix()).reshape(_DCT, _DCT, 1, -1)
     layout = ("NHWC", "HWIO", "NHWC")
     coefficients = jax.lax.conv_general_dilated(

@@ -11,7 +11,7 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from jaxisp.losses import charbonnier, log_rms
-from jaxisp.mixture import Degradation
+from jaxisp.recipes import RecipeLike
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.target import pair_maker
 
@@ -77,7 +77,7 @@ def init_state(
 
 def make_step(
     model: nnx.Module,
-    recipe: Degradation,
+    recipe: RecipeLike,
     optimizer: optax.GradientTransformation,
     *,
     key: jax.Array,

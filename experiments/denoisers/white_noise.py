@@ -1,0 +1,43 @@
+"""White noise on clean pictures: the network that comes with the package, blind, and others told the level.
+
+python -m experiments.denoisers.white_noise DATA
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from experiments.denoisers.gate import psnr
+from experiments.denoisers.training import TEST_PICTURES
+from jaxisp.cli.devices import use_cores
+from jaxisp.io import read_image
+from jaxisp.models.apply import shipped_denoiser
+from jaxisp.train import Classical
+
+STD, SIDE = 0.1, 256
+TOLD = ("ffdnet", "bm3d")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    options = parser.parse_args()
+    use_cores()
+    clean = options.data / "clean"
+    paths = [clean / "kodak" / f"{name}.png" for name in TEST_PICTURES]
+    paths += sorted((clean / "cbsd68").iterdir())[1::6]
+    network, told = shipped_denoiser()[0], [name for name in TOLD if not Classical(name).missing()]
+    rows = []
+    for i, path in enumerate(paths):
+        picture = read_image(path)[:SIDE, :SIDE]
+        noisy = picture + STD * np.random.default_rng(i).standard_normal(picture.shape).astype(np.float32)
+        shown = np.clip(noisy, 0, 1)
+        others = [Classical(name, STD)(noisy) for name in told]
+        rows.append([psnr(made, picture) for made in (shown, network(shown), *others)])
+        print(path.name, *np.round(rows[-1], 2), flush=True)
+    print(dict(zip(("noisy", "network", *told), np.round(np.mean(rows, 0), 2).tolist())))
+
+
+if __name__ == "__main__":
+    main()
