@@ -20,11 +20,15 @@ from PIL import Image
 import jaxisp
 from jaxisp import Chain, run, stage
 from jaxisp.color import linear_to_srgb
+from jaxisp.data.procedural import KINDS, drawn
+from jaxisp.models.apply import shipped_denoiser
 from jaxisp.samples import scene
 from jaxisp.stages.blur import MotionBlur
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import FilmGrain, ShotReadNoise
 from jaxisp.stages.optics import GeometricDistortion, LateralChromaticAberration, Vignetting
+from jaxisp.train import Classical
+from jaxisp.train.target import pair_maker
 
 PAGE, PICTURES = Path("docs/gallery.md"), Path("docs/images/gallery")
 GAP, LEAST = 4, 160  # px between tiles, and of the least side that is shown
@@ -125,6 +129,19 @@ def denoising() -> Tiles:
     return [run(stage("srgb_oetf"), {}, jnp.clip(x, 0, 1)) for x in tiles]
 
 
+def the_denoiser() -> Tiles:
+    """A phone's noise; total variation, non-local means and the package's network, all blind; and no noise.
+
+    The scene is drawn, and no network has seen it.
+    """
+    quarters = [drawn(kind, 1000, 96) for kind in KINDS]
+    scene = np.concatenate([np.concatenate(quarters[:2], 1), np.concatenate(quarters[2:], 1)])
+    pairs = pair_maker(jaxisp.recipes.phone(), jax.random.key(4), "camera")
+    noisy, target = (np.asarray(picture[0]) for picture in pairs(scene[None], np.int32([0])))
+    network, _ = shipped_denoiser()
+    return [noisy, *(denoise(noisy) for denoise in (Classical("tv"), Classical("nlm"), network)), target]
+
+
 def exposure_and_tone() -> Tiles:
     """A dark picture: an s-curve, the paper's curve, and tones mapped locally."""
     dark = photograph("coffee", window=(0.5, 0.5, 0.8)) * 0.7
@@ -156,7 +173,7 @@ PICTURES_OF: dict[str, Callable[[], Tiles]] = {
     make.__name__: make
     for make in (
         a_phone, stage_by_stage, demosaicking, extreme_low_light, unprocessing, jpeg, camera_shake, lens,
-        denoising, exposure_and_tone, film_grain, gradients,
+        denoising, the_denoiser, exposure_and_tone, film_grain, gradients,
     )
 }  # fmt: skip
 
