@@ -207,6 +207,9 @@ def _noisy_crops(
     crops: list[np.ndarray] = []
     skipped: list[tuple[str, str]] = []
     for path in find_images(noisy, recursive=True):
+        if path.stem.lower().endswith(".clean"):  # as a data set names it
+            skipped.append((str(path), f"{path}: is the clean picture of a pair"))
+            continue
         try:
             image = read_image(path)
         except InputError as error:

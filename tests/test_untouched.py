@@ -49,6 +49,7 @@ COMMANDS = {
     "denoise": ("denoise --run run clean -o out", ("out/p.png",)),
     "evaluate": ("evaluate --run run cn", ()),
     "diagnose": ("diagnose pairs -o out", ("out/report.json", "out/report.html")),
+    "diagnose clean+noisy": ("diagnose cn -o out", ("out/simulator.toml",)),
     "downstream": ("diagnose pairs -o out --downstream", ()),
     "calibrate": (
         "calibrate flats darks -o out/noise.toml --report out",

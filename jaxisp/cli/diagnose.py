@@ -25,7 +25,11 @@ def add_commands(commands: Any) -> None:
         "dataset", metavar="DATASET", help="a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs"
     )
     command.add_argument(
-        "-o", "--out", required=True, metavar="DIR", help="output folder for report.json and report.html"
+        "-o",
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="output folder for report.json, report.html and, of clean+noisy pairs, simulator.toml",
     )
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="a fitted camera as the simulator (default: fit a plain one)"
@@ -56,14 +60,15 @@ def add_commands(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
+    from jaxisp.gap.diagnose import SIMULATOR
     from jaxisp.gap.report.page import plain
     from jaxisp.io import filled_folder, output_file
     from jaxisp.io.locks import locked
 
     # a fault here should not cost a diagnosis
     with filled_folder(arguments.out) as folder, locked(folder, doing="diagnosing"):
-        for name in ("report.json", "report.html"):
-            output_file(folder / name)
+        for name in ("report.json", "report.html", SIMULATOR):
+            output_file(folder / name, filter(None, (arguments.camera, arguments.recipe)))
         if arguments.downstream:
             from jaxisp.gap.downstream.denoisers import check_kept  # loads flax
 
@@ -79,6 +84,8 @@ def run(arguments: Namespace) -> int:
                 _print(found.report)
     if not arguments.json:
         say(f"{page} in {found.report['seconds']:.0f} s")
+        if found.simulator is not None:
+            say(f"{page.with_name(SIMULATOR)}: the simulator with what was found, for degrade and train")
     return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 

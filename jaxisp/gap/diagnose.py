@@ -21,6 +21,7 @@ from jaxisp.gap.pairs.read import aligned_pairs
 from jaxisp.gap.report.document import after, is_gap, report_of
 from jaxisp.gap.report.page import write_report
 from jaxisp.gap.report.pictures import candidate, example
+from jaxisp.gap.report.simulator import simulator_of
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
 from jaxisp.io.datasets import Loaded, open_dataset
@@ -29,14 +30,18 @@ from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_degradation, find_recipe
 
+SIMULATOR = "simulator.toml"
+
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Diagnosis:
     """What was found. `report` is report.json; `pictures` shows one held-out pair, and how what is left in
-    all of them is spread over frequencies and neighbours."""
+    all of them is spread over frequencies and neighbours. `simulator`, of clean+noisy pairs without a
+    reference, is the recipe with the causes: what `jaxisp degrade` and `train` take."""
 
     report: dict[str, Any]
     pictures: dict[str, Any] = dataclasses.field(repr=False)
+    simulator: Recipe | None = None
 
     def __repr__(self) -> str:
         gap, causes = self.report["gap"], ", ".join(self.causes) or "no cause"
@@ -54,8 +59,11 @@ class Diagnosis:
         return [cause["effect"] for cause in self.report["causes"]]
 
     def save(self, folder: str | Path) -> Path:
-        """Write report.json and report.html into a folder; returns the page."""
-        return write_report(self.report, self.pictures, folder)
+        """Write report.json, report.html and, where there is one, simulator.toml; returns the page."""
+        page = write_report(self.report, self.pictures, folder)
+        if self.simulator is not None:
+            self.simulator.save(page.with_name(SIMULATOR))
+        return page
 
 
 def diagnose(
@@ -132,7 +140,9 @@ def diagnose(
     if found.causes:
         pictures |= example(case, found.point, "after")
     report["seconds"] = round(time.perf_counter() - clock, 2)
-    return Diagnosis(report, pictures)
+    return Diagnosis(
+        report, pictures, simulator_of(case, found.point, [c["effect"] for c in report["causes"]])
+    )
 
 
 def _check_kind(

@@ -2,6 +2,7 @@
 
 import functools
 import io
+import json
 from types import SimpleNamespace
 
 import jax
@@ -12,6 +13,8 @@ from PIL import Image
 
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
+from jaxisp import gap
+from jaxisp.cli import main
 from jaxisp.color import linear_to_srgb
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base import cfa_phase, clean_noisy
@@ -26,6 +29,7 @@ from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
 from jaxisp.pipeline import Chain, run, stage
+from jaxisp.recipe import Recipe
 from jaxisp.testing import smooth_image
 from tests.gap.schema import keeps_the_schema
 
@@ -38,7 +42,7 @@ TRIED = ("vignetting", "optical_blur", "row_noise", "column_noise", "correlated_
 
 def shot(folder, body, name, level):
     write(folder, body, {name: level}, "clean+noisy", size=SIZE, count=COUNT)
-    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED)))
 
 
 def own_camera(folder, row_noise=0.0, places=((0, 0),) * COUNT):
@@ -60,24 +64,32 @@ def own_camera(folder, row_noise=0.0, places=((0, 0),) * COUNT):
         for ending, a in ((".clean.png", encoded), (".noisy.png", picture)):
             part = np.rint(255 * np.clip(a, 0, 1)).astype(np.uint8)[top : top + SIZE, left : left + SIZE]
             Image.fromarray(part).save(folder / (name + ending))
-    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED))).report
+    return diagnose(folder, exclude=sorted(set(EFFECTS) - set(TRIED)))
 
 
 @pytest.fixture(scope="module")
-def diagnosed(tmp_path_factory):
-    """The report of a case, made when it is asked for."""
+def cases(tmp_path_factory):
+    """The folder of a case and what was found, made when it is asked for."""
 
     @functools.cache
-    def report(name):
+    def case(name):
         folder = tmp_path_factory.mktemp(name)
         levels = {"nothing": 1, "vignetting": 4}
         found = shot(folder, "alder", name, levels[name]) if name in levels else own_camera(folder, 0.012)
-        keeps_the_schema(found)
-        assert sum(w["share"] for w in found["where"]) == pytest.approx(1 if found["where"] else 0)
-        assert found["kind"] == "clean+noisy"
-        return found
+        keeps_the_schema(found.report)
+        assert sum(w["share"] for w in found.report["where"]) == pytest.approx(
+            1 if found.report["where"] else 0
+        )
+        assert found.report["kind"] == "clean+noisy"
+        return folder, found
 
-    return report
+    return case
+
+
+@pytest.fixture(scope="module")
+def diagnosed(cases):
+    """The report of a case."""
+    return lambda name: cases(name)[1].report
 
 
 def test_no_effect_is_named_where_none_is_missing(diagnosed):
@@ -92,6 +104,34 @@ def test_the_effect_that_is_missing_is_named(diagnosed):
     assert report["causes"][0]["closed"] > 0.5
 
 
+def test_the_simulator_with_the_cause_makes_pictures_as_the_cameras(cases, tmp_path):
+    folder, found = cases("vignetting")
+    found.save(tmp_path)
+    recipe = Recipe.load(tmp_path / "simulator.toml")
+    assert recipe == found.simulator and recipe.meta["causes"] == ["vignetting"]
+    assert not any(name.startswith("use_") for name in recipe.chain.names())
+    pairs = [pair.load() for pair in open_dataset(folder).pairs]
+    clean, noisy = (np.stack([getattr(p, name) for p in pairs]) for name in ("clean", "picture"))
+    made = np.stack([np.asarray(recipe.degrade(jax.random.key(k), clean)[0]) for k in range(8)])
+    # corners are as much darker than the middle as in the camera's pictures, and unlike the clean ones
+    parts = [(slice(None), slice(0, 24), slice(0, 24)), (slice(None), slice(52, 76), slice(52, 76))]
+    fall = [np.log(x[parts[0]].mean() / x[parts[1]].mean()) for x in (made.mean(0), noisy, clean)]
+    assert abs(fall[0] - fall[1]) < 0.04 < abs(fall[2] - fall[1])
+    fine = [(np.diff(x, 2, axis=-2)).std() for x in (made[0], noisy, made.mean(0))]
+    assert fine[0] == pytest.approx(fine[1], rel=0.1) and fine[2] < 0.9 * fine[1]
+
+
+def test_the_command_adapts_to_pairs_through_the_diagnosis(cases, tmp_path, capsys, monkeypatch):
+    folder, found = cases("nothing")
+    monkeypatch.setattr(gap, "diagnose", lambda *_, **__: found)
+    assert main(["adapt", str(folder), "-o", str(tmp_path / "camera.toml"), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["verdict"] == "none" and table["causes"] == [] and table["run"] is None
+    assert Recipe.load(tmp_path / "camera.toml") == found.simulator
+    assert main(["adapt", str(folder), "-o", str(tmp_path / "camera.toml"), "--draws", "64"]) == 2
+    assert "which are diagnosed" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_row_noise_is_seen_on_its_axis(diagnosed):
     report = diagnosed("row_noise")
@@ -102,10 +142,10 @@ def test_row_noise_is_seen_on_its_axis(diagnosed):
 @pytest.mark.slow
 def test_pairs_may_be_cut_anywhere(tmp_path, monkeypatch):
     """Crops at odd places have no pattern in common."""
-    report = own_camera(tmp_path / "cut", places=((0, 0), (1, 0), (0, 1), (1, 1)))
+    report = own_camera(tmp_path / "cut", places=((0, 0), (1, 0), (0, 1), (1, 1))).report
     assert report["verdict"] == "none" and report["gap"]["before"] < 1.5 * report["gap"]["unit"]
     monkeypatch.setattr(cfa_phase, "moves", lambda *arguments: np.zeros((COUNT, 2), int))
-    kept = own_camera(tmp_path / "kept", places=((0, 0), (1, 0), (0, 1), (1, 1)))
+    kept = own_camera(tmp_path / "kept", places=((0, 0), (1, 0), (0, 1), (1, 1))).report
     assert kept["gap"]["before"] > 2 * report["gap"]["before"] and kept["where"][0]["axis"] == "cfa_phase"
 
 
