@@ -10,7 +10,7 @@ regression adjustment (Beaumont, Zhang & Balding 2002).
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,16 +24,20 @@ from jaxisp.checks import check_seed, check_whole
 from jaxisp.data.clean import CleanImages, load_clean
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
-from jaxisp.io.images import read_image
+from jaxisp.io.images import read_with_header
+from jaxisp.io.jpeg import Jpeg
 from jaxisp.mixture import check_runs
 from jaxisp.models.cells import CELL, LEAST, cell_statistics, told_levels
 from jaxisp.models.levels import measured_map
+from jaxisp.node import Around, Node
 from jaxisp.params import specs
 from jaxisp.phase import CfaPhase
-from jaxisp.priors import Bernoulli, Choice, Distribution, LogUniform, Normal, PowerUniform
+from jaxisp.pipeline import Gate, Row
+from jaxisp.priors import Bernoulli, Choice, Distribution, LogUniform, Normal, PowerUniform, Uniform
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
 from jaxisp.shown import brief
+from jaxisp.stages.choice import HALVED
 from jaxisp.train.target import without_noise
 
 __all__ = ["EFFECTS", "Adaptation", "Narrowed", "adapt"]
@@ -72,7 +76,7 @@ class Narrowed:
         before: the recipe's distribution.
         after: the narrowed one.
         told: share of the parameter's variance that the statistics predict, 0 to 1; of a vector, the mean of
-            its elements.
+            its elements. 1 of what the files' headers state.
     """
 
     name: str
@@ -149,10 +153,11 @@ def adapt(
         "patch": SIDE, "downsample": downsample, "per_image": per_image, "seed": seed,
     }  # fmt: skip
     given = None if clean is None else load_clean(clean, **options)
-    crops, skipped = _noisy_crops(noisy, per_image, rng)
+    crops, files, skipped = _noisy_crops(noisy, per_image, rng)
     pictures = given or _smaller(noisy, **options)
     seen = _summaries(crops)
-    found, now = [], recipe
+    stated = _stated(recipe, laws, files)
+    found, now = [], recipe.override(stated)
     for i in range(ROUNDS):
         start, end = (draws * n // ROUNDS for n in (i, i + 1))
         made = [
@@ -165,7 +170,7 @@ def adapt(
         # how much is told of a parameter, and what is like no draw, by the draws from all of the recipe
         told, strange = [float(own.mean()) for own in np.split(found[0].told, ends)], found[0].strange
         for (stage, field), share, values in zip(laws, told, np.split(found[-1].kept, ends, axis=1)):
-            if share >= TOLD:
+            if share >= TOLD and field not in stated.get(stage, ()):
                 changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
         now = recipe.override(changed)
     about = {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}
@@ -176,9 +181,12 @@ def adapt(
         meta={**recipe.meta, "adapted": about},
     )
     priors = tuple(
-        Narrowed(f"{stage}.{field}", law, getattr(now.prior[stage], field), round(share, 3))
+        Narrowed(
+            f"{stage}.{field}", law, getattr(now.prior[stage], field),
+            1.0 if field in stated.get(stage, ()) else round(share, 3),
+        )
         for ((stage, field), law), share in zip(laws.items(), told)
-    )
+    )  # fmt: skip
     known = {path for path, _ in skipped}
     skipped += [one for one in pictures.skipped if one[0] not in known]
     return Adaptation(narrowed, priors, len(crops), _in_units(found[-1].effects), strange, tuple(skipped))
@@ -193,6 +201,46 @@ def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
                 yield (stage, field), law
 
 
+def _stated(
+    recipe: Recipe, laws: Mapping[tuple[str, str], Distribution], files: Sequence[Jpeg | None]
+) -> dict[str, dict[str, Distribution]]:
+    """What headers of JPEGs tell of the recipe's last compression: that there is one, its quality, and how
+    chroma is sampled, where a stage of its own does that."""
+    known = [file for file in files if file is not None]
+    last = [s for s in recipe.chain.stages() if s.fn.__name__ == "jpeg"][-1:]
+    if len(known) < len(files) or not last or (last[0].name, "quality") not in laws:
+        return {}
+    quality = [float(file.quality) for file in known]
+    found: dict[str, dict[str, Distribution]] = {
+        last[0].name: {"quality": Uniform(min(quality), max(quality))},
+        **{switch: {"on": Bernoulli(1.0)} for switch in _switches(recipe.chain, last[0].name)},
+    }
+    sampling = [HALVED.get(file.subsampling, (0.0, 0.0)) for file in known]
+    chroma = [s for s in recipe.chain.stages() if s.fn.__name__ == "chroma_subsampling"][-1:]
+    whole = last[0].options.get("subsampling") == "4:4:4"
+    if whole and chroma and {file.subsampling for file in known} <= {*HALVED, "4:4:4"}:
+        halved = [own for own in sampling if any(own)]
+        for switch in [*_switches(recipe.chain, chroma[0].name)][-1:]:
+            found[switch] = {"on": Bernoulli(len(halved) / len(known))}
+            sampling = halved or sampling
+        shares = np.mean(sampling, 0).tolist()
+        found[chroma[0].name] = dict(zip(("horizontal", "vertical"), map(Bernoulli, shares)))
+    return {
+        stage: own
+        for stage, fields in found.items()
+        if (own := {field: law for field, law in fields.items() if (stage, field) in laws})
+    }
+
+
+def _switches(node: Node, stage: str) -> Iterator[str]:
+    """The switches around a stage, the outermost first."""
+    if isinstance(node, Gate) and stage in node.names():
+        yield node.name
+    inner = node.nodes if isinstance(node, Row) else [node.node] if isinstance(node, Around) else []
+    for own in inner:
+        yield from _switches(own, stage)
+
+
 def _smaller(noisy: Any, **options: Any) -> CleanImages:
     """The noisy pictures made smaller, which are known to be pictures."""
     try:
@@ -203,15 +251,17 @@ def _smaller(noisy: Any, **options: Any) -> CleanImages:
 
 def _noisy_crops(
     noisy: Any, per_image: int, rng: np.random.Generator
-) -> tuple[np.ndarray, list[tuple[str, str]]]:
+) -> tuple[np.ndarray, list[Jpeg | None], list[tuple[str, str]]]:
+    """Crops, the files that they are of, and (file, reason) of what cannot be used."""
     crops: list[np.ndarray] = []
+    files: list[Jpeg | None] = []
     skipped: list[tuple[str, str]] = []
     for path in find_images(noisy, recursive=True):
         if path.stem.lower().endswith(".clean"):  # as a data set names it
             skipped.append((str(path), f"{path}: is the clean picture of a pair"))
             continue
         try:
-            image = read_image(path)
+            image, file = read_with_header(path)
         except InputError as error:
             skipped.append((str(path), str(error)))
             continue
@@ -219,12 +269,13 @@ def _noisy_crops(
             size = "x".join(map(str, image.shape[:2]))
             skipped.append((str(path), f"{path}: {size} px is smaller than a crop of {SIDE} px"))
             continue
+        files.append(file)
         room = np.asarray(image.shape[:2]) - SIDE
         corners = {tuple(8 * rng.integers(0, room // 8 + 1)) for _ in range(per_image)}  # on a JPEG's grid
         crops += [image[y : y + SIDE, x : x + SIDE] for y, x in sorted(corners)]
     if not crops:
         raise InputError(f"no picture can be used: {skipped[0][1]}" if skipped else "there are no pictures")
-    return np.stack(crops).astype(np.float32), skipped
+    return np.stack(crops).astype(np.float32), files, skipped
 
 
 def _crop(images: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:

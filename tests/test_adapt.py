@@ -1,17 +1,20 @@
 """A recipe narrowed to noisy pictures whose camera is known."""
 
 import json
+import shutil
 
 import jax
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from jaxisp.adapt import _crop, _narrowed, _nearest, _ridge, _scaled, _values, adapt
+import jaxisp
+from jaxisp.adapt import _crop, _laws, _narrowed, _nearest, _ridge, _scaled, _stated, _values, adapt
 from jaxisp.cli import main
 from jaxisp.color import LUMA_601
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
+from jaxisp.io.jpeg import decode_jpeg, encode_jpeg
 from jaxisp.models import make_model, save_network
 from jaxisp.pipeline import Chain, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
@@ -19,6 +22,7 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.blur import MotionBlur
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise
+from jaxisp.testing import smooth_image
 
 CAMERAS = Recipe(
     Chain((stage("gaussian_noise"), stage("clip"), stage("jpeg", subsampling="4:4:4")), "cameras"),
@@ -176,6 +180,36 @@ def test_photographs_that_are_kept_as_crops(rng):
     crops = np.stack([np.full((140, 140, 3), i * 65535 // 3, np.uint16) for i in range(4)])
     shades = {round(3 * float(_crop([crops], rng).mean())) for _ in range(40)}
     assert shades == {0, 1, 2, 3} and _crop([crops], rng).shape == (128, 128, 3)
+
+
+def files(*named):
+    levels = np.rint(255 * smooth_image((48, 64, 3))).astype(np.uint8)
+    return [decode_jpeg(encode_jpeg(levels, quality, sampling), "a.jpg") for quality, sampling in named]
+
+
+def test_what_headers_state_is_taken_from_them():
+    recipe = jaxisp.recipes.any_camera()
+    laws = dict(_laws(recipe))
+    found = recipe.override(_stated(recipe, laws, files((90, "4:2:0"), (94, "4:2:0")))).prior
+    assert found["jpeg"].quality == Uniform(90.0, 94.0)
+    for switch in ("use_camera", "use_jpeg", "use_chroma_subsampling"):
+        assert found[switch].on == Bernoulli(1.0)
+    assert found["chroma_subsampling"].vertical == Bernoulli(1.0)
+    assert found["use_gaussian_noise"].on == recipe.prior["use_gaussian_noise"].on
+    wide = recipe.override(_stated(recipe, laws, files((90, "4:2:2"), (90, "4:4:4")))).prior
+    assert wide["use_chroma_subsampling"].on == Bernoulli(0.5)
+    assert wide["chroma_subsampling"].vertical == Bernoulli(0.0)
+    # a picture that is no JPEG, and a recipe that compresses nothing
+    assert _stated(recipe, laws, [*files((90, "4:2:0")), None]) == {}
+    assert _stated(jaxisp.recipes.awgn(), {}, files((90, "4:2:0"))) == {}
+    assert _stated(CAMERAS, dict(_laws(CAMERAS)), files((77, "4:2:0")))["jpeg"]["quality"] == Uniform(77, 77)
+
+
+def test_clean_pictures_of_pairs_are_passed_over(folders, tmp_path):
+    for name, other in (("0.png", "0.noisy.png"), ("1.png", "0.clean.png")):
+        shutil.copy(folders / "noisy" / name, tmp_path / other)
+    found = adapt([tmp_path, folders / "noisy"], CAMERAS, clean=folders / "clean", downsample=1, draws=64)
+    assert [path for path, _ in found.skipped] == [str(tmp_path / "0.clean.png")]
 
 
 def test_what_cannot_be_used_is_told(folders, tmp_path):
