@@ -22,6 +22,7 @@ from scipy.special import ndtr, ndtri
 
 from jaxisp.checks import check_seed, check_whole
 from jaxisp.data.clean import CleanImages, load_clean
+from jaxisp.data.procedural import DRAWN, drawn_images
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_with_header
@@ -125,7 +126,7 @@ def adapt(
     Args:
         noisy: pictures of one camera at one setting, and folders of them; of 128 px and more.
         recipe: what its parameters are drawn from at first.
-        clean: folders of clean pictures; the noisy ones made smaller unless given.
+        clean: folders of clean pictures; the noisy ones made smaller and drawn ones unless given.
         downsample: the factor by which clean pictures are made smaller.
         draws: of the recipe's parameters, each on a crop of its own.
         per_image: crops of a noisy picture that are compared.
@@ -154,7 +155,7 @@ def adapt(
     }  # fmt: skip
     given = None if clean is None else load_clean(clean, **options)
     crops, files, skipped = _noisy_crops(noisy, per_image, rng)
-    pictures = given or _smaller(noisy, **options)
+    pictures = given or _smaller(noisy, **options).joined(drawn_images(DRAWN, seed))
     seen = _summaries(crops)
     stated = _stated(recipe, laws, files)
     found, now = [], recipe.override(stated)
@@ -242,11 +243,11 @@ def _switches(node: Node, stage: str) -> Iterator[str]:
 
 
 def _smaller(noisy: Any, **options: Any) -> CleanImages:
-    """The noisy pictures made smaller, which are known to be pictures."""
+    """The noisy pictures made smaller, which are known to be pictures; none where all become too small."""
     try:
         return load_clean(noisy, **options)
-    except InputError as error:
-        raise InputError(f"{error}; give other photographs as clean ones, or downsample less") from None
+    except InputError:
+        return CleanImages((), ())
 
 
 def _noisy_crops(

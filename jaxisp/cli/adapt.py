@@ -42,7 +42,7 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     command.add_argument(
         "--clean", nargs="+", metavar="DIR",
-        help="folders of clean photographs (default: the noisy ones, made smaller)",
+        help="folders of clean photographs (default: the noisy ones, made smaller, and drawn pictures)",
     )  # fmt: skip
     command.add_argument(
         "--downsample", type=positive, default=3, metavar="N",
@@ -69,6 +69,7 @@ def add_commands(commands: Any) -> None:
 
 def run(arguments: Namespace) -> int:
     use_cores()
+    from jaxisp.data.procedural import DRAWN
     from jaxisp.io.files import filled_file, filled_folder, find_images
     from jaxisp.recipes import PHASES
     from jaxisp.train.finetune import beginning, fine_tune
@@ -91,8 +92,8 @@ def run(arguments: Namespace) -> int:
         with progress("training") as tick:
             result = fine_tune(
                 arguments.out, arguments.clean or arguments.noisy, arguments.folder, start=arguments.start,
-                downsample=arguments.downsample, steps=arguments.steps or STEPS, seed=arguments.seed,
-                tick=tick,
+                downsample=arguments.downsample, drawn=0 if arguments.clean else DRAWN,
+                steps=arguments.steps or STEPS, seed=arguments.seed, tick=tick,
             )  # fmt: skip
     if arguments.json:
         told = [{"file": name, "reason": reason} for name, reason in skipped]

@@ -28,6 +28,7 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--loss", str, "l1 (default), charbonnier, smooth_l1, l2 or log_rms"),
     ("--light", str, "input of the network: encoded (default) or linear"),
     ("--target", str, "what it gives: photo (default), or camera, what that would show without noise"),
+    ("--drawn", int, "drawn pictures beside the photographs (default 0)"),
     ("--pool", int, "patches that are degraded once and used in each epoch (default 0: none)"),
     ("--start", str, "weights to begin with: a file that jaxisp.models.save_network wrote"),
     ("--log-every", positive, "steps between lines of the log (default 20)"),

@@ -51,6 +51,11 @@ class CleanImages:
 
         return subset(False), subset(True)
 
+    def joined(self, other: "CleanImages") -> "CleanImages":
+        """These, and then the others."""
+        skipped = (*self.skipped, *other.skipped)
+        return CleanImages((*self.names, *other.names), (*self.images, *other.images), skipped)
+
 
 def load_clean(
     paths: str | Path | Sequence[str | Path],

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jaxisp.data.clean import downsample_linear
+from jaxisp.data.clean import CleanImages, downsample_linear
 
+DRAWN = 24
+"""Drawn pictures that stand beside few photographs."""
 KINDS = ("leaves", "text", "stripes", "gradients")
 _TWICE = 2
 _SMALLEST, _LARGEST = 2.0, 0.35  # radius of a leaf: px of the drawing, and share of its side
@@ -41,6 +43,20 @@ def drawn(kind: str, seed: int, side: int = 512) -> np.ndarray:
     paint = {"leaves": _leaves, "text": _text, "stripes": _stripes, "gradients": _gradients}[kind]
     picture = paint(rng, _TWICE * side)
     return downsample_linear(np.clip(picture, 0, 1).astype(np.float32), _TWICE)
+
+
+def drawn_images(count: int, seed: int = 0, side: int = 256) -> CleanImages:
+    """Drawn pictures as clean ones, half of them leaves.
+
+    Args:
+        count: of pictures.
+        seed: of all of them.
+        side: of each [px].
+    """
+    kinds = ("leaves", "text", "leaves", "stripes", "leaves", "gradients")
+    named = [(kinds[i % len(kinds)], seed * count + i) for i in range(count)]
+    images = (np.round(drawn(kind, own, side) * np.float32(65535)).astype(np.uint16) for kind, own in named)
+    return CleanImages(tuple(f"drawn {kind} {own}" for kind, own in named), tuple(images))
 
 
 def _leaves(rng: np.random.Generator, side: int) -> np.ndarray:

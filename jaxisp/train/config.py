@@ -37,6 +37,7 @@ class TrainConfig:
         steps: updates.
         batch: patches in a step, over all devices.
         patch: their side [px].
+        drawn: pictures that are drawn (`jaxisp.data.procedural`) and used beside the photographs.
         downsample: photographs are made smaller by this factor first.
         per_image: patches of a photograph in an epoch.
         fresh_crops: new crops each epoch; False: the same ones, as in the paper.
@@ -72,6 +73,7 @@ class TrainConfig:
     batch: int = 32
     patch: int = 80
     downsample: int = 4
+    drawn: int = 0
     per_image: int = 5
     fresh_crops: bool = True
     held_out: int = -1
@@ -117,7 +119,7 @@ class TrainConfig:
             raise InputError(f"lr = {self.lr}: expected a learning rate above 0, as 1e-3")
         if not 0 <= self.ema < 1:
             raise InputError(f"ema = {self.ema}: expected a decay from 0 (no average) to below 1")
-        for field in ("warmup", "weight_decay", "clip_norm", "seed", "pool"):
+        for field in ("warmup", "weight_decay", "clip_norm", "seed", "pool", "drawn"):
             if getattr(self, field) < 0:
                 raise InputError(f"{field} = {getattr(self, field)}: expected 0 or more")
 

@@ -41,6 +41,7 @@ def fine_tune(
     *,
     start: str | Path | None = None,
     downsample: int = 3,
+    drawn: int = 0,
     steps: int = 2000,
     seed: int = 0,
     tick: Callable[[int, int, str], Any] = lambda done, total, text: None,
@@ -53,6 +54,7 @@ def fine_tune(
         run: the folder of the run.
         start: a file of weights; those that come with the package unless given.
         downsample: the factor by which photographs are made smaller.
+        drawn: pictures that are drawn and used beside them: what a few photographs lack.
         steps: updates of 16 patches of 64 px.
         seed: of everything that is drawn.
         tick: called with (done, total, text).
@@ -66,7 +68,7 @@ def fine_tune(
         config = TrainConfig(
             clean=tuple(map(str, several(clean))), recipe=name, model=about["model"],
             model_options=about["options"], light=about.get("light", "encoded"),
-            start=str(begin), downsample=downsample, steps=steps, seed=seed, batch=16,
+            start=str(begin), downsample=downsample, drawn=drawn, steps=steps, seed=seed, batch=16,
             patch=64, per_image=20, target="camera", loss="log_rms", lr=3e-4, pool=min(8192, 16 * steps),
         )  # fmt: skip
         return train(config, run, recipe=found, resume=True, tick=tick)

@@ -15,6 +15,7 @@ from flax import nnx
 from jax.experimental import multihost_utils
 
 from jaxisp.data.clean import CleanImages, load_clean
+from jaxisp.data.procedural import drawn_images
 from jaxisp.data.sources import CleanPatches, degrade_key
 from jaxisp.errors import InputError
 from jaxisp.io.files import filled_folder
@@ -147,6 +148,8 @@ class _Run:
             config.clean, patch=config.patch, downsample=config.downsample,
             per_image=config.per_image, seed=config.seed, tick=tick,
         )  # fmt: skip
+        if config.drawn:
+            images = images.joined(drawn_images(config.drawn, config.seed, max(256, config.patch)))
         self.images = images
         training, held_out = _split(images, config.held_out)
         self.source = CleanPatches(
@@ -281,7 +284,8 @@ class _Run:
         self.checkpoints.close()
         if self.log:
             self.log.close()
-            data = f"{len(self.images.names)} files of {', '.join(self.config.clean)}"
+            count, drawn = len(self.images.names) - self.config.drawn, self.config.drawn
+            data = f"{count} files of {', '.join(self.config.clean)}" + f", and {drawn} drawn" * bool(drawn)
             write_card(self.run, self.config, self.recipe, result.as_dict(), data)
         return result
 

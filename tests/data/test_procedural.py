@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxisp.data.procedural import KINDS, drawn
+from jaxisp.data.procedural import KINDS, drawn, drawn_images
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -33,3 +33,13 @@ def test_leaves_have_the_spectrum_of_photographs():
 def test_an_unknown_kind_is_refused():
     with pytest.raises(ValueError, match="kind must be one of leaves"):
         drawn("clouds", 0)
+
+
+def test_a_set_of_drawn_pictures_has_all_kinds_and_is_the_same_for_the_same_seed():
+    found, again, other = (drawn_images(6, seed, 32) for seed in (0, 0, 1))
+    assert {name.split()[1] for name in found.names} == set(KINDS) and len(found.names) == 6
+    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint16 for image in found.images)
+    assert all((a == b).all() for a, b in zip(found.images, again.images))
+    assert not set(found.names) & set(other.names)
+    both = found.joined(other)
+    assert len(both.names) == len(both.images) == 12

@@ -1,12 +1,17 @@
 """The simulator of clean+noisy pairs with the causes that were found, as a recipe to train on."""
 
+import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
-from jaxisp.gap.base.given_chain import flat_nodes
+import numpy as np
+
 from jaxisp.gap.case import Case
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.simulator.effects import CLEAN_NOISY
-from jaxisp.pipeline import Chain, stage
+from jaxisp.node import Node
+from jaxisp.params import specs
+from jaxisp.pipeline import Chain, Gate, Params, stage
 from jaxisp.recipe import Recipe
 
 NAME = "diagnosed"
@@ -30,12 +35,27 @@ def simulator_of(case: Case, point: Point, causes: Sequence[str]) -> Recipe | No
     if case.kind != CLEAN_NOISY or case.reference_gap is not None:
         return None
     params = point.model.params(point.z)
-    whole = Recipe(point.model.chain, params)
-    chain = Chain((stage("srgb_eotf", name="light"), *flat_nodes(whole.chain.nodes, whole)), NAME)
+    nodes = [_on(node, params) for node in point.model.chain.nodes]
+    chain = Chain((stage("srgb_eotf", name="light"), *filter(None, nodes)), NAME)
     added = f"with {', '.join(causes)}" if causes else "without any effect besides"
     return Recipe(
         chain,
-        {name: params[name] for name in chain.init() if name in params},
+        {name: _within(params[name]) for name in chain.init() if name in params},
         f"{case.given or 'a plain camera'}, fitted to {len(case.split.fit)} clean+noisy pairs, {added}",
         {"causes": list(causes)},
     )
+
+
+def _on(node: Node, params: Params) -> Node | None:
+    """A node without its switch; None where that is off."""
+    if not isinstance(node, Gate):
+        return node
+    return node.node if float(params[node.name].on) > 0.5 else None
+
+
+def _within(params: Any) -> Any:
+    """Parameters without what rounding put beyond a bound."""
+    fields = {
+        name: np.clip(getattr(params, name), *spec.bounds) for name, spec in specs(type(params)).items()
+    }
+    return dataclasses.replace(params, **fields)
