@@ -47,7 +47,7 @@ MEASURED = {"polyu": 248, "sidd": 248, "iphone8": None}
 LEARNED = {"polyu": 1024, "sidd": None, "iphone8": None}
 """Sides of the middles that are measured and that real pairs are learned from [px]."""
 FOLDS = 3
-STEPS, SEED = 500, 0
+STEPS, SEED = 300, 0
 KEY = "one_camera"
 
 

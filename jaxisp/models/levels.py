@@ -14,6 +14,8 @@ from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuff
 
 _MOST = 2.25  # of levels as they are told: a standard deviation of 1
 _SHARE = 0.1  # of the error of the map in what is trained
+_BEND = 8.0  # detail in units of the noise beyond which it is compressed
+_WINDOW = 7  # of the means that detail is told from, at half the resolution
 
 
 class LevelNet(nnx.Module):
@@ -21,7 +23,9 @@ class LevelNet(nnx.Module):
 
     The map has the standard deviation of the noise of luma and of chroma in each cell of 16x16 px. A small
     network of its own estimates it from the picture; whoever multiplies it makes the other smooth more.
-    What is taken off is in units of the map: a picture that is nearly clean stays as it is.
+    What is taken off is in units of the map: a picture that is nearly clean stays as it is. Detail is given
+    in these units too, beside the picture: else the network has to learn to divide by the map, and leaves
+    half of a weak noise where it is.
 
     Args:
         channels: of the image: 3.
@@ -61,7 +65,7 @@ class LevelNet(nnx.Module):
         self.sense = make(STATISTICS, estimator, kernel=1)
         self.cells = nnx.List([block(estimator) for _ in range(2)])
         self.levels = make(estimator, 2, kernel=1)
-        self.first = make(4 * channels + 2, features[0])
+        self.first = make(2 * 4 * channels + 2, features[0])
         self.last = make(features[0], 4 * channels, init=NEARLY_ZERO)
         self.down = nnx.List([block(width) for width in features])
         self.shrink = nnx.List([make(4 * a, b, kernel=1) for a, b in steps])
@@ -71,7 +75,7 @@ class LevelNet(nnx.Module):
         strides = [2**i for i in range(1, len(features) + 1)]
         passes = [2 * depth] * len(steps) + [depth]
         # once it has its map, between the cells of which is interpolated
-        self.reach = 2 * 2 + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
+        self.reach = 2 * (2 + _WINDOW // 2) + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
         self.map_reach = REACH + 2 * depth * CELL
 
     def noise_map(self, x: jax.Array) -> jax.Array:
@@ -94,8 +98,8 @@ class LevelNet(nnx.Module):
         shape = (len(x), padded.shape[1] // 2, padded.shape[2] // 2, 2)
         told = _spread(told_levels(levels), shape).astype(x.dtype)
         unit = jnp.linalg.norm(_spread(levels, shape), axis=-1, keepdims=True).astype(x.dtype)
-        y = jnp.concatenate([pixel_unshuffle(padded, 2), told], -1)
-        y = self.first(y)
+        quarters = pixel_unshuffle(padded, 2)
+        y = self.first(jnp.concatenate([quarters, told, _in_units(quarters, unit)], -1))
         skips = []
         for block, shrink in zip(self.down, self.shrink):
             y = _through(block, y)
@@ -148,6 +152,15 @@ def _spread(levels: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     levels = jnp.pad(levels, ((0, 0), (0, rows), (0, columns), (0, 0)), mode="edge")
     n, h, w, c = levels.shape
     return jax.image.resize(levels, (n, h * side, w * side, c), "linear")[:, : shape[1], : shape[2]]
+
+
+def _in_units(x: jax.Array, unit: jax.Array) -> jax.Array:
+    """What differs from the local mean, over the noise; compressed where it is far above it."""
+    edge = _WINDOW // 2
+    padded = jnp.pad(x, ((0, 0), (edge, edge), (edge, edge), (0, 0)), mode="edge")
+    mean = nnx.avg_pool(padded, (_WINDOW, _WINDOW))
+    y = (x - mean) / (unit + LEAST)
+    return y * jax.lax.rsqrt(1 + (y / _BEND) ** 2)
 
 
 def _through(block: nnx.List[nnx.Conv], x: jax.Array) -> jax.Array:

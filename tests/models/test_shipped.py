@@ -45,6 +45,14 @@ def test_it_takes_white_noise_off(pair):
     assert 0 < changes[0] < changes[1] < changes[2]
 
 
+@pytest.mark.parametrize("std", [0.005, 0.01, 0.02, 0.05, 0.1])
+def test_weak_noise_is_taken_off_as_strong_noise_is(std):
+    """A network that has to divide by its map leaves half of it on an even picture."""
+    noise = std * np.random.default_rng(1).standard_normal((96, 96, 3))
+    left = shipped_denoiser()[0]((0.5 + noise).astype(np.float32))[16:-16, 16:-16].std()
+    assert left < 0.4 * std
+
+
 def test_the_command_works_without_a_run(pair, tmp_path, capsys):
     write_png(tmp_path / "photo.png", pair[1])
     out = tmp_path / "out.png"
