@@ -1,6 +1,7 @@
 """The floor of RAW+JPEG pairs beside what a known camera leaves of files that Pillow writes.
 
     python -m experiments.known_floor
+    python -m experiments.known_floor --nulls docs/results/diagnosis.json
 
 The plain camera is fitted to a body of the withheld study and taken for the truth. Its pictures, with one
 effect or none, are stored at several qualities and chroma samplings. The truth's own gap on the held-out
@@ -10,6 +11,7 @@ pairs, with pixels weighed as a diagnosis weighs them, is what the floor should 
 import argparse
 import dataclasses
 import io
+import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from experiments.withheld.bodies import BODIES
 from experiments.withheld.shoot import write
 from experiments.withheld.tables import table
 from jaxisp.gap import EFFECTS
@@ -84,11 +87,27 @@ def rows(loaded: Sequence[Loaded], sampling: str, quality: int, truth: Model) ->
         ]
 
 
+def of_nulls(path: Path) -> list[list[object]]:
+    """By chroma sampling, how many RAW+JPEG nulls of a study have a gap no larger than their floor."""
+    samplings = {"full_sampling": "4:4:4", "half_sampling": "4:2:0", "lossless": "none"}
+    found: dict[str, list[bool]] = {}
+    for case in json.loads(path.read_text())["nulls"]["cases"].values():
+        if case["kind"] == "raw+jpeg" and "gap" in case:
+            changes = [samplings[name] for name, _ in case["effects"] if name in samplings]
+            sampling = changes[0] if changes else BODIES[case["body"]].sampling
+            found.setdefault(sampling, []).append(case["gap"]["before"] <= case["gap"]["floor"])
+    return [[sampling, len(own), sum(own)] for sampling, own in sorted(found.items())]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--body", default="elm")
     parser.add_argument("--size", type=int, default=192, help="of a scene, px a side")
+    parser.add_argument("--nulls", type=Path, help="count the nulls of a file of results alone")
     asked = parser.parse_args()
+    if asked.nulls is not None:
+        print(table(["sampling", "nulls", "gap no larger than the floor"], of_nulls(asked.nulls)))
+        return
     keep_compiled()
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder), asked.body, {}, "raw+jpeg", "one", asked.size, count=4)
