@@ -46,8 +46,7 @@ def with_exposures(objective: PixelObjective, model: Model, fit_on: Sequence[int
     """Fit a brightness of each picture, and the base of all beside it.
 
     That of a held-out picture is fitted to this picture: no other tells it, and one number explains nothing
-    but brightness. Held-out pictures also say whether it is needed: the curve of few fitted ones makes up
-    for theirs.
+    but brightness.
 
     Args:
         objective: of all pairs.
@@ -55,11 +54,11 @@ def with_exposures(objective: PixelObjective, model: Model, fit_on: Sequence[int
         fit_on: the pairs that the base is fitted to.
 
     Returns:
-        None where the error of all pairs falls by less than 3 %: one brightness does for all.
+        None where the fitted pairs' error falls by less than 3 %: one brightness does for all.
     """
     own, z = list(fit_on), np.zeros(len(model.coordinates))
     objective = objective.robust(objective.at(model, z))
-    before = objective.at(model, z).error
+    before = float(objective.at(model, z).errors[own].mean())
     stops, at = np.zeros(len(objective.target)), model
     for _ in range(_ROUNDS):
         stops = np.clip(stops + _off(objective, at, z), -_FARTHEST, _FARTHEST)
@@ -67,7 +66,7 @@ def with_exposures(objective: PixelObjective, model: Model, fit_on: Sequence[int
         at = _brighter(model, at, stops)
         part = objective.take(own)
         at = at.moved(fit(part, part.at(at.take(own), z), at.base_indices, steps=2).point.z)
-        if objective.at(at, z).error > _WORTH * before:
+        if objective.at(at, z).errors[own].mean() > _WORTH * before:
             return None
     return Exposed(at, stops)
 
