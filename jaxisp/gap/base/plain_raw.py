@@ -10,7 +10,6 @@ import numpy as np
 
 from jaxisp.color import srgb_to_linear
 from jaxisp.gap.base.absorbed import absorbed_shares
-from jaxisp.gap.base.exposures import exposed, with_exposures
 from jaxisp.gap.base.palette import is_colourless, start_matrix, typical_matrix
 from jaxisp.gap.case import Gap
 from jaxisp.gap.criteria import CRITERIA, Criteria
@@ -57,7 +56,6 @@ class Base(NamedTuple):
         rival: if the base demosaicks square roots, the best choice that does not, since square roots imitate
             halved chroma.
         unidentifiable: effects of the base that these pairs cannot show; it has typical values for them.
-        stops: by how much brighter than the base the camera made each picture; None where all are alike.
     """
 
     model: Model
@@ -65,7 +63,6 @@ class Base(NamedTuple):
     choices: Sequence[Variant] = ()
     rival: Variant | None = None
     unidentifiable: tuple[str, ...] = ()
-    stops: np.ndarray | None = None
 
 
 def raw_model(
@@ -75,17 +72,14 @@ def raw_model(
     fit_on: Sequence[int],
     criteria: Criteria = CRITERIA[RAW_JPEG],
 ) -> Base:
-    """Fit the plain camera to RAW+JPEG pairs, with the best demosaicker; see `fit_base`.
-
-    Pictures have a brightness each where that leaves less, see `with_exposures`.
-    """
+    """Fit the plain camera to RAW+JPEG pairs, with the best demosaicker; see `fit_base`."""
     raws, cfa = raws_of(loaded)
     gains, matrix, usual = _start(raws, pairs, cfa)
     chain, params, per_pair = plain_parts(loaded, pairs, gains)
 
     def fitted(matrix: np.ndarray, free: Sequence[Coordinate]) -> Base:
         start = params | {"color_matrix": ColorMatrix(matrix=np.asarray(np.clip(matrix, -4, 4), np.float32))}
-        return _exposed(fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on), pairs, fit_on)
+        return fit_base(build(chain, start, per_pair, free, effects), pairs, fit_on)
 
     found = fitted(matrix, plain_freedom())
     if usual is None or _at_floor(found, pairs, fit_on, [p.jpeg for p in loaded], criteria):
@@ -93,20 +87,6 @@ def raw_model(
     held = fitted(usual, [c for c in plain_freedom() if c.node != "color_matrix"])
     absorbed = {name: share for name, share in held.absorbed.items() if name != "color_matrix"}
     return held._replace(absorbed=absorbed, unidentifiable=("color_matrix",))
-
-
-def _exposed(base: Base, pairs: Pairs, fit_on: Sequence[int]) -> Base:
-    """The base with a brightness of each picture, where they differ."""
-    found = with_exposures(PixelObjective.of(pairs), base.model, fit_on)
-    if found is None:
-        return base
-
-    def brighter(choice: Variant) -> Variant:
-        return dataclasses.replace(choice, per_pair=exposed(choice.per_pair, found.stops))
-
-    rival = None if base.rival is None else brighter(base.rival)
-    choices = [brighter(choice) for choice in base.choices]
-    return base._replace(model=found.model, choices=choices, rival=rival, stops=found.stops)
 
 
 def plain_parts(loaded: Sequence[Loaded], pairs: Pairs, gains: np.ndarray) -> tuple[Chain, Params, Params]:

@@ -138,8 +138,6 @@ def raw_case(
         base = Base(taken.model, unidentifiable=taken.unidentifiable)
     elif camera is None:
         base = raw_model(loaded, pairs, effects, split.fit, criteria)
-        if base.stops is not None:
-            about = {"stops": {name: round(float(v), 3) for name, v in zip(pairs.names, base.stops)}}
     else:
         found = refitted(camera_model(camera, loaded, effects), pairs, split.fit)
         base, about = Base(found.model, found.absorbed, found.choices), {"moved": found.moved}

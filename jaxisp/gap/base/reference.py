@@ -111,7 +111,7 @@ def _taken_over(
     """
     early, late = (np.asarray(fitted.per_pair[n].gains) for n in ("mosaic_white_balance", "later_balance"))
     if gains is None:  # the fit has estimated them, alike for all pairs
-        gains = np.exp(np.log(early * late).mean(0, keepdims=True)).repeat(len(loaded), 0)
+        gains = (early * late)[:1].repeat(len(loaded), 0)
     chain, params, per_pair = plain_parts(loaded, pairs, gains)
     if np.allclose(early, 1):  # balanced after demosaicking
         balance = per_pair["mosaic_white_balance"]

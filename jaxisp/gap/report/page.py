@@ -444,7 +444,6 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("fitted in it", ", ".join(map(words, base["fitted"]))),
         ("taken up by it", absorbed or "nothing of note"),
         ("moved to these pairs", _refitted(base.get("moved"))),
-        ("brighter than the base, in stops", _stops(base)),
         ("moved by what was found", _moved(base)),
         ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
         ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
@@ -459,11 +458,6 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("time", f"{report['seconds']:.0f} s"),
     ]
     return [(term, text) for term, text in rows if text]
-
-
-def _stops(base: Mapping[str, Any]) -> str:
-    """The brightness that the camera gave each picture, as text."""
-    return ", ".join(f"{name} {number(own)}" for name, own in base.get("stops", {}).items())
 
 
 def _refitted(moved: Mapping[str, Any] | None) -> str:
