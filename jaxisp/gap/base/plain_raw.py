@@ -130,7 +130,7 @@ def _at_floor(
     z = np.zeros(len(base.model.coordinates))
     objective = objective.robust(objective.at(base.model, z))
     at = objective.at(base.model, z)
-    floor = objective.floor_errors(objective.floor_difference(at, files))[which].mean()
+    floor = objective.floor_errors(at, objective.floor_difference(at, files))[which].mean()
     left = Gap(float(at.errors[which].mean()), float(floor), criteria.least_unit)
     return not left.exceeds(criteria.null_drop)
 

@@ -166,7 +166,8 @@ def raw_case(
     stored, floors, left = _floors(objective, at, (files, [p.jpeg for p in same]), taken, criteria)
 
     def floor_at(point: Point) -> Floor:
-        units, held = objective.floor_units(objective.floor_difference(point, files)), list(split.held_out)
+        units = objective.floor_units(point, objective.floor_difference(point, files))
+        held = list(split.held_out)
         drawn = by_scene(units[held], [pairs.names[i] for i in held])
         return Floor(np.nanmean(units, 1), interval(drawn, 1.0))
 
@@ -208,7 +209,7 @@ def _floors(
             floors = np.zeros_like(floors)
         return stored, floors, float(floors[held].mean())
     stored = objective.floor_difference(at, files[0])
-    floors = objective.floor_errors(stored)
+    floors = objective.floor_errors(at, stored)
     if taken is None or taken.gap is None:
         return stored, floors, None
     return stored, np.maximum(floors, taken.gap), taken.gap

@@ -20,6 +20,7 @@ from jaxisp.gap.pairs.pairs import INNER, Pairs, to_steps
 from jaxisp.gap.pairs.scenes import Split, scene_name
 from jaxisp.gap.pairs.stored import as_stored
 from jaxisp.gap.parallel import parallel_map
+from jaxisp.gap.simulator.choices import unsampled
 from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io import Jpeg
 
@@ -42,6 +43,8 @@ class PixelObjective:
         weight: (N, h, w, 3) root of what a pixel counts.
         choices, rival, references: see `Evidence`.
         earlier: row and column where 8x8 blocks of an earlier compression began, (0, 0) of none.
+        begun: (N, h, w, 3) the simulator's pictures in steps whose residual gave the weights; None where all
+            pixels count alike.
     """
 
     pairs: Pairs
@@ -53,6 +56,7 @@ class PixelObjective:
     rival: Variant | None = None
     references: Mapping[int, float] = dataclasses.field(default_factory=dict)
     earlier: tuple[int, int] = (0, 0)
+    begun: np.ndarray | None = None
 
     follows = False
     compact = False
@@ -82,7 +86,8 @@ class PixelObjective:
 
     def robust(self, point: Point) -> "PixelObjective":
         """Weighed by `robust_weights` of the residual at a point."""
-        return self.weighed(self.robust_weights(self.target - point.shown[0]))
+        weighed = self.weighed(self.robust_weights(self.target - point.shown[0]))
+        return dataclasses.replace(weighed, begun=point.shown[0])
 
     def robust_weights(self, difference: np.ndarray) -> np.ndarray:
         """(N, h, w) weights that fall where the difference (N, h, w, 3) around a pixel is large against what
@@ -159,6 +164,7 @@ class PixelObjective:
             weight=np.broadcast_to(self.weight[..., :1][index], (len(index), *self.target.shape[1:])),
             choices=tuple(choice.take(which) for choice in self.choices),
             rival=None if self.rival is None else self.rival.take(which),
+            begun=None if self.begun is None else self.begun[index],
         )
 
     @functools.cached_property
@@ -225,19 +231,27 @@ class PixelObjective:
 
     def floor_difference(self, point: Point, files: Sequence[Jpeg | None]) -> np.ndarray:
         """(N, h, w, 3) what rounding and the files' own compression do to the simulator's pictures, in
-        steps."""
-        whole = self.rendered(point.model, point.z)
+        steps.
+
+        Files sample chroma themselves: they are made of what the simulator has before its own sampling.
+        """
+        whole = self.rendered(unsampled(point.model, files[0]), point.z)
         stored = np.stack([as_stored(p, f) for p, f in zip(whole, files)])
-        return to_steps(stored[INNER]) - to_steps(whole[INNER])
+        return np.asarray(to_steps(stored[INNER]) - point.shown[0])
 
-    def floor_errors(self, difference: np.ndarray) -> np.ndarray:
-        """(N,) the errors that rounding and compression would leave were the simulator right."""
-        return np.asarray(np.nanmean(self.floor_units(difference), 1))
+    def floor_errors(self, point: Point, difference: np.ndarray) -> np.ndarray:
+        """(N,) the errors that rounding and compression would leave were the simulator right at a point."""
+        return np.asarray(np.nanmean(self.floor_units(point, difference), 1))
 
-    def floor_units(self, difference: np.ndarray) -> np.ndarray:
-        """(N, U) parts that each of `floor_errors` is the mean of, by tile."""
-        # weighed by its own size, as the real residual is by its own
-        counted = self.robust_weights(difference) * self.pairs.mask[INNER]
+    def floor_units(self, point: Point, difference: np.ndarray) -> np.ndarray:
+        """(N, U) parts that each of `floor_errors` is the mean of, by tile.
+
+        Pixels count as they would if the real pictures were the point's, stored: weights come from the
+        residual before effects were added.
+        """
+        counted = np.asarray(self.pairs.mask[INNER], np.float32)
+        if self.begun is not None:
+            counted = counted * self.robust_weights(difference + (point.shown[0] - self.begun))
         return tiled((difference**2).sum(-1) * counted, counted.sum((1, 2)))
 
 

@@ -1,12 +1,14 @@
-"""Choices of a simulator beside its coordinates: the demosaicker, and the grid of an earlier compression."""
+"""Choices of a simulator beside its coordinates: the demosaicker, the grid of an earlier compression, and
+whether the file's chroma sampling is in it."""
 
 import dataclasses
 
 import numpy as np
 
-from jaxisp.gap.simulator.model import Model
+from jaxisp.gap.simulator.model import Model, samples_chroma
+from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Node, Stage, stage
-from jaxisp.stages.choice import DEMOSAICKERS
+from jaxisp.stages.choice import DEMOSAICKERS, HALVED, ChromaSubsampling
 
 
 def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
@@ -15,6 +17,17 @@ def with_earlier_grid(model: Model, place: tuple[int, int]) -> Model:
     row, column = (np.float32(v) for v in place)
     moved = dataclasses.replace(model.shared[name], row=row, column=column)
     return dataclasses.replace(model, shared=model.shared | {name: moved})
+
+
+def unsampled(model: Model, file: Jpeg | None) -> Model:
+    """The model less the chroma sampling that stands for this file's: what the file is made of."""
+    if file is None or file.subsampling not in HALVED:
+        return model
+    last = next((n.name for n in reversed(model.chain.nodes) if samples_chroma(n)), None)
+    if last is None:
+        return model
+    whole = ChromaSubsampling(horizontal=np.float32(0), vertical=np.float32(0))
+    return model.with_shared(model.shared | {last: whole})
 
 
 def with_choice(chain: Chain) -> Chain:

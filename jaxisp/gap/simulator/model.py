@@ -238,11 +238,19 @@ def is_file(node: Node) -> bool:
     return isinstance(node, Stage) and node.fn.__name__ in _FILE_STAGES
 
 
+def samples_chroma(node: Node) -> bool:
+    """Whether a node halves the resolution of chroma, and is no effect that is switched."""
+    return isinstance(node, Stage) and node.fn.__name__ == "chroma_subsampling"
+
+
 def _sites(nodes: Sequence[Node]) -> dict[str, int]:
-    """Before which node of the base each site is; those of pictures alone where it has no mosaic."""
+    """Before which node of the base each site is; those of pictures alone where it has no mosaic.
+
+    What a file does comes last. It samples the chroma of what effects have made.
+    """
     names = [n.name for n in nodes]
     end = len(nodes)
-    while is_file(nodes[end - 1]):
+    while end > 1 and (is_file(nodes[end - 1]) or samples_chroma(nodes[end - 1])):
         end -= 1
     last = nodes[end - 1]
     clipped = isinstance(last, Stage) and last.fn.__name__ == "clip"
