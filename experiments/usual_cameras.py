@@ -1,11 +1,14 @@
 """What real cameras are like, for `jaxisp.fit.usual`: derives the numbers that stand there.
 
-`python -m experiments.usual_cameras CALIBRATION`, a folder with libcamera's tuning files (`libcamera/*.json`:
-measured matrices from balanced camera RGB to linear sRGB, at several colour temperatures) and with the
-database of response functions (`crf/dorfCurvesInv.mat`, Grossberg and Nayar 2004).
+`python -m experiments.usual_cameras CALIBRATION PROFILES`. CALIBRATION is a folder with libcamera's tuning
+files (`libcamera/*.json`: measured matrices from balanced camera RGB to linear sRGB, at several colour
+temperatures) and with the database of response functions (`crf/dorfCurvesInv.mat`, Grossberg and Nayar 2004).
+PROFILES is a folder of DNG camera profiles (`*.dcp`), of which the ColorMatrix of each illuminant is read:
+those of RawTherapee 5.9, on Debian in /usr/share/rawtherapee/dcpprofiles.
 """
 
 import argparse
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,32 +16,70 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+import tifffile
+
+from jaxisp.io import tags as tag
+from jaxisp.io.calibration import camera_to_srgb, neutral_of
+from jaxisp.io.dng_color import calibration
 
 ZONES = 8
 DIRECTIONS = 3
 STEEPEST = 1e-2  # smallest slope that is told from none
+OFF_DIAGONAL = ~np.eye(3, dtype=bool)
+WHITES = {17: (0.44757, 0.40745), 21: (0.31271, 0.32902), 23: (0.34567, 0.35850)}
+"""Chromaticities x, y of the illuminants of profiles: standard light A, D65, D50 (CIE 015)."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Derive the numbers of jaxisp.fit.usual.")
     parser.add_argument("calibration", type=Path)
-    folder = parser.parse_args().calibration
+    parser.add_argument("profiles", type=Path)
+    parsed = parser.parse_args()
+    folder = parsed.calibration
     np.set_printoptions(precision=4, suppress=True, floatmode="fixed")
-    found = matrices(folder / "libcamera") | curves(folder / "crf" / "dorfCurvesInv.mat")
+    sensors = [*libcamera(folder / "libcamera"), *profiles(parsed.profiles)]
+    found = matrices(sensors) | curves(folder / "crf" / "dorfCurvesInv.mat")
     for name, value in found.items():
         print(f"{name} =\n{np.array2string(np.asarray(value), separator=', ')}")
 
 
-def matrices(folder: Path) -> dict[str, np.ndarray]:
-    """Mean and covariance of the entries off the diagonal, rows summing to 1; each sensor weighs the same."""
-    sensors = [list(_found(json.loads(path.read_text()), "ccm")) for path in sorted(folder.glob("*.json"))]
-    entries = [np.reshape(found, (-1, 3, 3))[:, ~np.eye(3, dtype=bool)] for found in sensors if found]
-    weights = np.concatenate([np.full(len(own), 1 / len(own) / len(entries)) for own in entries])
-    every = np.concatenate(entries)
+def matrices(sensors: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Mean and covariance of the entries off the diagonal, rows summing to 1; each sensor weighs the same.
+
+    sensors: (n, 6) each, one row a light.
+    """
+    weights = np.concatenate([np.full(len(own), 1 / len(own) / len(sensors)) for own in sensors])
+    every = np.concatenate(sensors)
+    print(f"# {len(sensors)} sensors, {len(every)} matrices")
     return {
         "MATRIX_MEAN": weights @ every,
         "MATRIX_COVARIANCE": np.cov(every.T, aweights=weights, ddof=0),
     }
+
+
+def libcamera(folder: Path) -> Iterator[np.ndarray]:
+    for path in sorted(folder.glob("*.json")):
+        if found := list(_found(json.loads(path.read_text()), "ccm")):
+            yield np.reshape(found, (-1, 3, 3))[:, OFF_DIAGONAL]
+
+
+def profiles(folder: Path) -> Iterator[np.ndarray]:
+    """Of each profile its ColorMatrix at each illuminant; a TIFF file but for its magic number."""
+    for path in sorted(folder.glob("*.dcp")):
+        data = path.read_bytes()
+        with tag.quiet_tifffile(), tifffile.TiffFile(io.BytesIO(data[:2] + b"*\0" + data[4:])) as file:
+            stated = {t.code: t.value for t in file.pages[0].tags}
+        wanted = {
+            code: np.asarray(stated[code][::2], float) / stated[code][1::2]
+            for code in tag.COLOR_MATRICES if code in stated
+        } | {code: stated[code] for code in tag.ILLUMINANTS if code in stated}  # fmt: skip
+        known = calibration(tag.DngTags(wanted, {}), lambda text: None)
+        if known is None:
+            continue
+        lights = [WHITES[light] for light in known.illuminants if isinstance(light, int) and light in WHITES]
+        if lights:
+            neutrals = [neutral_of(known, np.asarray(xy)) for xy in lights]
+            yield np.stack([camera_to_srgb(known, own)[OFF_DIAGONAL] for own in neutrals])
 
 
 def curves(path: Path) -> dict[str, Any]:
