@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxisp.fit.dataset import _Lazy
 from jaxisp.fit.journal import Journal
-from jaxisp.fit.model import DEMOSAICKERS, Design
+from jaxisp.fit.model import Design, demosaicker_of
 from jaxisp.fit.problem import Given, Problem
 from jaxisp.fit.program import _renders, _robust, _Steps
 from jaxisp.fit.search import Options, Search
@@ -41,7 +41,7 @@ def fit_of(folder: str, camera: Recipe) -> tuple[Fit, State]:
     size = next(
         (str(s.options["footprint"]) for s in camera.chain.stages() if s.fn.__name__ == "median"), None
     )
-    demosaic = next(n for n in names if n in DEMOSAICKERS)
+    demosaic = next(demosaicker_of(s) for s in camera.chain.stages() if s.fn.__name__.startswith("demosaic_"))
     options = Options(1, demosaic, size or "none", "camera", ())
     search = Search([shot], options, Journal.open(None, ""), lambda *_: None)
     lens, sampling = "geometric_distortion" in names, "chroma_subsampling" in names

@@ -36,7 +36,6 @@ from jaxisp.params import specs
 from jaxisp.pipeline import Params, Stage
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_recipe
-from jaxisp.stages import STAGES
 
 STEPS = 30
 HOLD_OUT = ("tiles", "scenes")
@@ -70,7 +69,7 @@ def fit_examples(
         examples: the pairs, all of one camera; or functions that load them, called when they are needed,
             so that many large pairs need not be in memory at once.
         steps: most Gauss-Newton steps of each phase.
-        demosaic: the demosaicking stage; "auto" tries all.
+        demosaic: a demosaicking stage, or "demosaic_ahd_libraw"; "auto" tries all.
         median: footprint of the median filter ("cross", "3x3", "5x5"), "none", or "auto".
         place: where denoising is: "camera" RGB or "encoded" RGB.
         start: a camera that an earlier fit wrote, or its file: the fit goes on from its parameters, with the
@@ -155,9 +154,8 @@ def _loaded(given: Given) -> Example:
 
 
 def _check(options: Options) -> None:
-    demosaickers = [name for name in STAGES if name.startswith("demosaic_")]
     known = {
-        "demosaicker": (options.demosaic, ["auto", *demosaickers]),
+        "demosaicker": (options.demosaic, ["auto", *model.demosaickers()]),
         "median": (options.median, ["auto", "none", *(m for m in model.MEDIANS if m)]),
         "place of denoising": (options.place, list(model.PLACES)),
     }

@@ -34,7 +34,16 @@ DEMOSAICKERS = (
     "demosaic_vng",
     "demosaic_edge_aware",
     "demosaic_bilinear",
+    "demosaic_ahd_libraw",
+    "demosaic_rcd",
+    "demosaic_ppg",
+    "demosaic_dcb",
+    "demosaic_lmmse",
 )
+_VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "demosaic_ahd_libraw": ("demosaic_ahd", {"delta": 1, "variant": "libraw"}),
+}
+"""Demosaickers that are a stage with options."""
 MEDIANS = (None, "cross", "3x3", "5x5")
 PLACES = ("camera", "encoded")
 
@@ -58,7 +67,7 @@ class Design:
     """The discrete choices.
 
     Args:
-        demosaic: the demosaicking stage.
+        demosaic: one of `demosaickers`.
         passes: of the colour-difference median after it.
         median: footprint of the median filter, or None for no such stage.
         place: where denoising is: on square roots of "camera" RGB, where shot noise is even, or on
@@ -91,11 +100,30 @@ def head(cfa: str, design: Design) -> Chain:
     nodes: list[Stage] = [
         stage("mosaic_white_balance", cfa=cfa),
         stage("clip"),
-        stage(design.demosaic, cfa=cfa),
+        _demosaicker(design.demosaic, cfa),
     ]
     if design.passes:
         nodes.append(stage("color_difference_median", passes=design.passes))
     return Chain(tuple(nodes), "raw_to_camera_rgb")
+
+
+def demosaickers() -> list[str]:
+    """All that a fit can be told to take."""
+    return [*(name for name in STAGES if name.startswith("demosaic_")), *_VARIANTS]
+
+
+def _demosaicker(name: str, cfa: str) -> Stage:
+    own, options = _VARIANTS.get(name, (name, {}))
+    return stage(own, cfa=cfa, **options)
+
+
+def demosaicker_of(node: Stage) -> str:
+    """The name of a demosaicking stage among `demosaickers`."""
+    for name in _VARIANTS:
+        own = _demosaicker(name, str(node.options["cfa"]))
+        if (own.fn, own.options) == (node.fn, node.options):
+            return name
+    return node.fn.__name__
 
 
 def front(design: Design) -> Chain:
@@ -243,15 +271,15 @@ def of_camera(camera: Recipe, inserted: Sequence[Inserted] = ()) -> tuple[dict[s
         InputError: it is no such camera.
     """
     stages = {s.name: s for s in camera.chain.stages()}
-    demosaickers = [s.fn.__name__ for s in stages.values() if s.fn.__name__.startswith("demosaic_")]
+    found = [demosaicker_of(s) for s in stages.values() if s.fn.__name__.startswith("demosaic_")]
     missing = sorted({"exposure", "color_matrix", "unsharp_mask"} - set(camera.prior))
-    if len(demosaickers) != 1 or missing:
-        why = f"it has no {', '.join(missing)}" if missing else f"it demosaicks {len(demosaickers)} times"
+    if len(found) != 1 or missing:
+        why = f"it has no {', '.join(missing)}" if missing else f"it demosaicks {len(found)} times"
         raise InputError(f"start: {camera.name!r} is no camera from `jaxisp fit`: {why}")
     again = stages.get("color_difference_median")
     median = stages.get("median")
     choices = {
-        "demosaic": demosaickers[0],
+        "demosaic": found[0],
         "passes": int(str(again.options["passes"])) if again else 0,
         "median": str(median.options["footprint"]) if median else None,
         "lens": all(name in stages for name in LENS),

@@ -20,6 +20,7 @@ class Normal(NamedTuple):
 
     Args:
         matrix, vector: (columns, columns) and (columns,) of the robust residual.
+        scores: (cells, columns) what the pixels of each cell of colour give to `vector`.
         loss: its sum.
         weight: how many pixels.
         sums, slopes: for the statistics, and (columns, m) how they move.
@@ -30,6 +31,7 @@ class Normal(NamedTuple):
 
     matrix: Any
     vector: Any
+    scores: Any
     loss: Any
     weight: Any
     sums: Any

@@ -28,6 +28,7 @@ from jaxisp.stages.optics.light import radial_gain
 
 AFTER = 8  # px of the halo that are seen after denoising: unsharp mask 6, chroma sampling 2
 ROBUST = 0.02  # level; larger residuals count less than by their square
+COLOURS = 8  # steps of each channel of the cells that `Normal.scores` are of
 CHROMA = 0.5  # weight of a squared error of Cb or Cr against one of luma
 
 
@@ -214,9 +215,14 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
     def square(j: jax.Array) -> jax.Array:
         return product(j * weight, j.T)
 
+    def by_colour(j: jax.Array) -> jax.Array:
+        own = (j * weighted).reshape(len(j), 3, -1).sum(axis=1)
+        return jax.ops.segment_sum(own.T, colour_cells(jnp, chunk.target).ravel(), COLOURS**3)
+
     return Normal(
         jax.lax.cond(given.moving.any(), square, lambda j: jnp.zeros((len(j), len(j))), jacobian),
         product(jacobian, weighted),
+        jax.lax.cond(given.moving.any(), by_colour, lambda j: jnp.zeros((COLOURS**3, len(j))), jacobian),
         loss,
         chunk.mask.sum(),
         _sums(compared, chunk),
@@ -225,6 +231,13 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
         product(near, weighted),
         done.image,
     )
+
+
+def colour_cells(xp: Any, target: Any) -> Any:
+    """(...) which of COLOURS**3 cells of colour the pixels of (..., 3) pictures are in; `xp` is numpy or
+    jax.numpy."""
+    steps = xp.clip((target * COLOURS).astype(int), 0, COLOURS - 1)
+    return (steps[..., 0] * COLOURS + steps[..., 1]) * COLOURS + steps[..., 2]
 
 
 def jacobian_shape(problem: Problem) -> tuple[int, int]:

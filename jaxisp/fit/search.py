@@ -16,7 +16,7 @@ from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
-from jaxisp.fit.solve import Fit, patch_at
+from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
@@ -29,6 +29,7 @@ FAR, STRESSED = (
     2.0,
     4,
 )  # tolerances that all intensities together may be off, and by what else they weigh more
+MOST_TRIALS = 5  # of one kind of choice that get a step
 TRIAL = 1  # steps that each discrete choice gets, the present one too: a second one changes no ranking
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
 FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
@@ -110,7 +111,7 @@ class Options:
     @property
     def trials(self) -> int:
         """How many discrete choices are tried at most."""
-        demosaickers = len(model.DEMOSAICKERS) if self.demosaic == "auto" else 0
+        demosaickers = 1 + MOST_TRIALS if self.demosaic == "auto" else 0
         return demosaickers + (len(model.MEDIANS) - 1 if self.median == "auto" else 0)
 
 
@@ -158,6 +159,7 @@ class Search:
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
         self._done = 0
+        self._scale: float | None = None
         begun = begin(self.views(self.options.first), self._stated_lens())
         self.start = model.start(self.options.inserted) | begun | self.options.given[1]
         if self.stated:
@@ -202,7 +204,7 @@ class Search:
         """All phases."""
         best, state = self._first()
         for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
-            others = list(group(best))
+            others = self._nearest(list(group(best)), state)
             if not others:
                 continue
             trials = {d: self._try(group.__name__, d, state) for d in [best, *others]}
@@ -211,6 +213,13 @@ class Search:
                 best = chosen
             state = trials[best]
         return self.finish(best, state)
+
+    def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
+        """Of many choices those that are nearest to the pictures before any step."""
+        if len(designs) <= MOST_TRIALS:
+            return list(designs)
+        objectives = {design: self._fit(design).objective(state) for design in designs}
+        return sorted(designs, key=objectives.__getitem__)[:MOST_TRIALS]
 
     def _first(self) -> tuple[model.Design, State]:
         """Everything with plain choices; the lens only where the alignment found one, or where it shows."""
@@ -251,12 +260,11 @@ class Search:
         Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
-        before = self._fit(design, whole=True, now=state)
-        patch = patch_at(before.equations(state))
+        patches = self._fit(design, whole=True, now=state).patches_at(state)
         for turn in (1, 2):
             if design.lens and not self._bends(now):
                 design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
-            fit = self._fit(design, whole=True, now=state, statistics=weight, patch=patch)
+            fit = self._fit(design, whole=True, now=state, statistics=weight, patches=patches)
             now = self._run(f"{name} {turn}", fit, _again(now), steps)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS
@@ -293,8 +301,12 @@ class Search:
         if not whole:
             kept = self._coarse()
             views = tuple(v._replace(chunks=v.chunks[:n]) for v, n in zip(views, kept))
+            options["scale"] = self._scale
         given = {"now": self.origin, "mesh": self.mesh, **options}
-        return Fit(self.problem, self.start, views, self.origin, design, **given)
+        fit = Fit(self.problem, self.start, views, self.origin, design, **given)
+        if not whole:
+            self._scale = fit.scale
+        return fit
 
     def _coarse(self) -> list[int]:
         """How many groups of tiles of each pair the phases before the last take: half, or COARSE in all."""

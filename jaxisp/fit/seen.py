@@ -17,11 +17,12 @@ BLOCK = 16  # px, over which noise is averaged
 HUES = ("red", "orange", "yellow", "yellow-green", "green", "blue-green",
         "cyan", "azure", "blue", "violet", "magenta", "rose")  # fmt: skip
 COLOURED = 0.15  # least chroma, of the largest channel, that has a hue: camera RGB is paler than sRGB
-FEWEST = 2e-3  # share of the blocks that a hue must have to count as seen
+FEWEST = 2e-3  # share of the blocks that a hue or a stop must have to count as seen
 ENDS = 0.5  # percent of the blocks on either side that do not count as seen tones
 BEYOND = 1.0  # EV that a tone may be beyond those seen
 SHOWS = 0.05  # share of a picture's blocks with other tones or hues that is told
 DARKEST = 2.0**-8  # level below which tones are alike, and hues are noise
+DEEPEST = 9  # stop that these lie in
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,23 +32,29 @@ class Seen:
     Args:
         levels: the darkest and the brightest level, of the mean of balanced red, green and blue.
         hues: those of `HUES` that were there.
+        gaps: whole stops between these levels that were not there, as EV below white: 3 is from 1/8 to 1/4.
     """
 
     levels: tuple[float, float]
     hues: tuple[str, ...]
+    gaps: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, colours: np.ndarray) -> "Seen":
         """Of (N, 3) balanced camera RGB, means of blocks."""
-        low, high = np.percentile(colours.mean(axis=1), [ENDS, 100 - ENDS])
+        level = colours.mean(axis=1)
+        low, high = np.percentile(level, [ENDS, 100 - ENDS])
         hue = _hues(colours)
         shares = np.bincount(hue[hue >= 0], minlength=len(HUES)) / max(len(hue), 1)
         names = tuple(name for name, share in zip(HUES, shares) if share >= FEWEST)
-        return cls((float(low), float(high)), names)
+        stops = np.bincount(_stops(level), minlength=DEEPEST + 1) / max(len(level), 1)
+        brightest, darkest = _stops(np.asarray([high, low]))
+        gaps = tuple(ev for ev in range(brightest + 1, darkest) if stops[ev] < FEWEST)
+        return cls((float(low), float(high)), names, gaps)
 
     def as_dict(self) -> dict[str, Any]:
         """As `meta.seen` of a camera's file has it."""
-        return {"levels": list(self.levels), "hues": list(self.hues)}
+        return {"levels": list(self.levels), "hues": list(self.hues), "gaps": list(self.gaps)}
 
     @classmethod
     def from_dict(cls, stated: Any, camera: str) -> "Seen":
@@ -59,9 +66,10 @@ class Seen:
         try:
             low, high = (float(level) for level in stated["levels"])
             hues = tuple(str(name) for name in stated["hues"])
+            gaps = tuple(int(ev) for ev in stated.get("gaps", ()))
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{camera!r}: meta.seen is not as `jaxisp fit` writes it") from None
-        return cls((low, high), hues)
+        return cls((low, high), hues, gaps)
 
     def beyond(self, colours: np.ndarray) -> list[str]:
         """What of (N, 3) blocks the fit did not see, a phrase each; empty where that is little."""
@@ -73,11 +81,20 @@ class Seen:
         for what, where in ("darker", darker), ("brighter", brighter):
             if where.mean() > SHOWS:
                 found.append(f"{100 * where.mean():.0f} % {what} than all that was fitted")
+        between = np.isin(_stops(level), self.gaps)
+        if between.mean() > SHOWS:
+            found.append(f"{100 * between.mean():.0f} % of tones that lack between those that were fitted")
         for index, name in enumerate(HUES):
             share = (hue == index).mean()
             if name not in self.hues and share > SHOWS:
                 found.append(f"{100 * share:.0f} % {name}, a hue that was not fitted")
         return found
+
+
+def _stops(level: np.ndarray) -> np.ndarray:
+    """(N,) whole stops below white that levels lie in: 1 from a half up, DEEPEST for all that is as dark."""
+    deep = np.floor(-np.log2(np.maximum(level, DARKEST))) + 1
+    return np.clip(deep, 1, DEEPEST).astype(int)
 
 
 def blocks(raw: Raw) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import copy
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,12 @@ from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
-from jaxisp.fit.program import sums_of
+from jaxisp.fit.program import COLOURS, colour_cells, sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.spread import Call, each
 from jaxisp.fit.state import Equations, Place, State, View
 from jaxisp.fit.tiles import Chunk
-from jaxisp.fit.usual import linearised
+from jaxisp.fit.usual import KINDS, linearised
 from jaxisp.pipeline import Params
 
 PATCH = 10.0  # px whose residuals are about as good as one independent one, at the least
@@ -23,7 +23,7 @@ HOLD = 1e-5  # what a parameter one unit from its start counts: keeps what shows
 HOLD_ZONES = 1e-3  # of the zones of the tone curve, so that gamma and s-curve explain what they can
 HOLD_PLACE = 1e-2  # of the geometry, from what the alignment found
 HOLD_BENT = 1e-4  # of the scale under a lens: what the alignment found holds part of the distortion
-FEWEST_CHUNKS = 3  # whose scores tell how they vary
+FEWEST = 3  # surfaces whose scores tell how they vary
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
 CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
@@ -43,10 +43,11 @@ class Fit:
         start: what parameters are held near.
         design: the discrete choices.
         now: whose mean loss counts as 1; the start's unless given.
+        scale: that loss, where it is known: objectives of several designs compare only with the same.
         statistics: what one noise statistic a tolerance off counts against that loss. It is 0 until tone
             and colour are right: before, the noise would be matched by bending them.
-        patch: px whose residuals are about as good as one independent one; see `patch_at`. It says how
-            much the pixels count against what is known of real cameras.
+        patches: px whose residuals are about as good as one independent one, by kind of parameters; see
+            `patches_at`. They say how much the pixels count against what is known of real cameras.
         mesh: devices that the chunks are spread over; see `spread.each`.
     """
 
@@ -59,8 +60,9 @@ class Fit:
         design: model.Design,
         *,
         now: State | None = None,
+        scale: float | None = None,
         statistics: float = 0.0,
-        patch: float = PATCH,
+        patches: Mapping[str, float] = dict.fromkeys(KINDS, PATCH),
         mesh: Mesh | None = None,
     ):
         self.statistics, self.encodes = statistics, True
@@ -80,12 +82,12 @@ class Fit:
         self._hold = np.concatenate([holds[0], *[holds[1]] * len(views), *[place] * len(views)])
         # minus two log posteriors are loss / (patch variance) + deviations**2, and the variance of a residual
         # is half a pixel's mean loss (luma, and Cb and Cr at a half); this is in units of the mean loss
-        self.patch = patch
-        pixels = sum(float(np.sum(chunk.mask)) for view in views for chunk in view.chunks)
-        self._share = patch / (2 * max(pixels, 1))
+        self.patches = {kind: np.float32(patches[kind]) for kind in KINDS}
+        self._pixels = np.stack([_by_colour(view) for view in views])
+        self._share = 1 / (2 * max(self._pixels.sum(), 1))
         self._origin = as_arrays(problem.layout.params(fixed, start.camera, start.images[0]))
         self.scale = 1.0
-        self.scale = max(self.loss(now or start), 1e-7)
+        self.scale = max(self.loss(now or start), 1e-7) if scale is None else scale
 
     def loss(self, state: State) -> float:
         """Mean robust loss of the pixels."""
@@ -173,7 +175,9 @@ class Fit:
         pairs = len(self.views) if len(state.images[0]) else 1
         for i in range(pairs):
             index = self._index(i)[: cameras + len(state.images[i])]
-            found = linearised(layout, self.fixed, start, state.camera, state.images[i])
+            stated = not self.design.sampling  # where there is a JPEG file
+            vectors = state.camera, state.images[i]
+            found = linearised(layout, stated, self.fixed, start, self.patches, *vectors)
             rows, jacobian = (np.asarray(part, np.float64) for part in found)
             share = self._share / pairs
             value += share * float(rows @ rows)
@@ -201,19 +205,20 @@ class Fit:
     def equations(self, state: State) -> Equations:
         """The objective at a state, its gradient and its Gauss-Newton matrix."""
         size = len(self._hold)
-        data, total, weight = np.zeros((size, size)), 0.0, 0.0
+        data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
         sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
-        scores = []
+        scores = np.zeros((len(self.views), len(self._pixels[0]), size))
         parts, jacobians = self.each(lambda at: self._call(state, at[0], at[1]), self._chunks)
         for (i, _), part in zip(self._chunks, parts):
             index = self._index(i)
             data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
-            scores.append(np.zeros(size))
-            scores[-1][index] = np.asarray(part.vector, np.float64)
+            vector[index] += np.asarray(part.vector, np.float64)
+            scores[i][:, index] += np.asarray(part.scores, np.float64)
             slopes[index] += np.asarray(part.slopes, np.float64)
             sums += self._eight_bits(i, part.sums)
             total, weight = total + float(part.loss), weight + float(part.weight)
-        vector = np.sum(scores, axis=0)
+        there = self._pixels > 0
+        apart = scores[there] - self._pixels[there][:, None] / self._pixels.sum() * vector
         rows = noise.misfit(sums, self.wanted)
         misfit, soft = _softened(rows)
         jacobian = _slopes_of_misfit(sums, self.wanted, slopes)
@@ -222,7 +227,13 @@ class Fit:
         matrix = share * data + self.statistics * (jacobian * soft) @ jacobian.T + stiffness
         right = share * vector + self.statistics * (jacobian * soft) @ rows + pulls
         objective = float(share * total + self.statistics * misfit + pull)
-        return Equations(objective, matrix, right, data, np.stack(scores), total, weight, jacobian, jacobians)
+        return Equations(objective, matrix, right, data, apart, total, weight, jacobian, jacobians)
+
+    def patches_at(self, state: State) -> dict[str, float]:
+        """By kind of parameters: how many pixels' residuals are about as good as one independent one."""
+        at, names = self.equations(state), self.problem.layout.names
+        stages = [stage for stage, _ in (*names[CAMERA], *names[IMAGE] * len(self.views))]
+        return {kind: patch_at(at, np.flatnonzero(np.isin(stages, own))) for kind, (_, own) in KINDS.items()}
 
     def run(
         self,
@@ -270,24 +281,32 @@ class Fit:
         return there, self._at(there, at)
 
 
-def patch_at(at: Equations) -> float:
+def patch_at(at: Equations, columns: np.ndarray) -> float:
     """How many pixels' residuals are about as good as one independent one, PATCH at least.
 
-    Were residuals independent, the scores of the chunks would vary as the curvature says. How much more
-    they vary is measured, and it includes what no camera of this kind can render: that is alike in whole
-    surfaces. Directions that the pixels say nothing of are left out.
+    Were residuals independent, the scores of the surfaces would vary as the curvature says. How much more
+    they vary is measured, and it includes what no camera of this kind can render: that is alike in all that
+    has one colour. Directions that the pixels say nothing of are left out.
 
     Source: Pauli, Racugno and Ventura 2011, "Bayesian composite marginal likelihoods": the magnitude
-    adjustment.
+    adjustment; with the clusters' scores of Liang and Zeger 1986, "Longitudinal data analysis using
+    generalized linear models".
     """
     count = len(at.scores)
-    if count < FEWEST_CHUNKS:
+    if count < FEWEST or not len(columns):
         return PATCH
+    scores, data = at.scores[:, columns], at.data[np.ix_(columns, columns)]
     variance = at.loss / at.weight / 2
-    scores = at.scores - at.scores.mean(axis=0)
-    told = np.linalg.inv(at.data + PATCH * variance * np.eye(len(at.data)))
+    told = np.linalg.inv(data + PATCH * variance * np.eye(len(data)))
     vary = np.einsum("ci,ij,cj", scores, told, scores) * count / (count - 1)
-    return max(PATCH, float(vary / np.einsum("ij,ji", told, at.data) / max(variance, 1e-12)))
+    return max(PATCH, float(vary / max(np.einsum("ij,ji", told, data) * variance, 1e-12)))
+
+
+def _by_colour(view: View) -> np.ndarray:
+    """(cells,) how many pixels of each cell of colour are fitted."""
+    own = [np.bincount(np.ravel(colour_cells(np, np.asarray(c.target))), np.ravel(c.mask), COLOURS**3)
+           for c in view.chunks]  # fmt: skip
+    return np.sum(own, axis=0)
 
 
 def _flat(state: State) -> np.ndarray:

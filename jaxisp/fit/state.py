@@ -51,7 +51,8 @@ class Equations:
     data: np.ndarray
     """The part of `matrix` that the pixels give, in squared levels."""
     scores: np.ndarray
-    """(chunks, columns): the gradient of each chunk's loss."""
+    """(surfaces, columns): the gradient of the loss of the pixels of one colour in one picture, less what is
+    their share of the whole."""
     loss: float
     weight: float
     slopes: np.ndarray

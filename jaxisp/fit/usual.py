@@ -1,6 +1,6 @@
 """What real cameras are like, which a fit falls back on where its pairs are silent: a Gaussian prior.
 
-Colour matrices are near those of measured sensors, tone curves near measured response curves. Lens terms
+Colour matrices are near those of real cameras, tone curves near measured response curves. Lens terms
 are near none about the optical centre, filters near the mild start. `python -m experiments.usual_cameras`
 derives the numbers.
 """
@@ -12,25 +12,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxisp.colorimetry import primaries_to_xyz
 from jaxisp.fit import model
 from jaxisp.fit.sharing import CAMERA, Layout
+from jaxisp.io.color_space import D65, SRGB_PRIMARIES
 from jaxisp.params import specs, to_unbounded
 from jaxisp.pipeline import Params
 
-MATRIX_MEAN = np.asarray([-0.4942, -0.2840, -0.4242, -0.4214, -0.0400, -0.9094])
-"""Entries off the diagonal, rows summing to 1, of libcamera's matrices: 5 sensors, 40 colour temperatures."""
+MATRIX_MEAN = np.asarray([-0.6134, -0.1128, -0.2089, -0.3586, 0.0359, -0.5867])
+"""Entries off the diagonal, rows summing to 1, from balanced camera RGB to linear sRGB: 127 cameras, 264
+matrices. Of 122 they are the DNG profiles' at their illuminants, of 5 libcamera's at 40 temperatures."""
 MATRIX_COVARIANCE = np.asarray(
     [
-        [0.0695, -0.0216, -0.0141, 0.0165, 0.0035, -0.0563],
-        [-0.0216, 0.0238, 0.0080, -0.0041, -0.0011, 0.0350],
-        [-0.0141, 0.0080, 0.0088, -0.0089, -0.0004, 0.0292],
-        [0.0165, -0.0041, -0.0089, 0.0605, 0.0130, -0.0443],
-        [0.0035, -0.0011, -0.0004, 0.0130, 0.0064, -0.0060],
-        [-0.0563, 0.0350, 0.0292, -0.0443, -0.0060, 0.1353],
+        [0.0790, -0.0285, 0.0003, 0.0109, -0.0004, 0.0037],
+        [-0.0285, 0.0158, 0.0034, -0.0049, 0.0011, 0.0050],
+        [0.0003, 0.0034, 0.0105, 0.0016, 0.0026, 0.0151],
+        [0.0109, -0.0049, 0.0016, 0.0216, 0.0027, -0.0024],
+        [-0.0004, 0.0011, 0.0026, 0.0027, 0.0051, 0.0022],
+        [0.0037, 0.0050, 0.0151, -0.0024, 0.0022, 0.0441],
     ]
 )
-SIXTH = 1.5
-"""By what a sixth sensor's covariance exceeds that of the five: (n + 1) / (n - 1)."""
 CURVE_MEAN = np.asarray([-1.3294, -0.4979, -0.0210, 0.2045, 0.2024, 0.0694, -0.1171, -0.3885])
 """Log slopes of response curves, between eighths of the sRGB encoding: 201 curves of Grossberg and Nayar."""
 CURVE_DIRECTIONS = np.asarray(
@@ -42,6 +43,8 @@ CURVE_DIRECTIONS = np.asarray(
 )
 CURVE_REST = 0.0185  # variance of what the directions leave
 STEEPEST = 1e-2  # smallest slope that is told from none
+
+P3_PRIMARIES = (0.680, 0.320), (0.265, 0.690), (0.150, 0.060)  # of Display P3: SMPTE RP 431-2
 
 LOOK = 0.1  # standard deviation of what a look adds to each entry of the matrix
 CAST = 0.05  # of the logarithm of a row's sum: the stated balance is the one that the camera applied
@@ -58,23 +61,53 @@ def _whitener(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
-_MATRIX = _whitener(SIXTH * MATRIX_COVARIANCE + LOOK**2 * np.eye(len(MATRIX_MEAN)))
+_OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 _CURVE = _whitener(CURVE_DIRECTIONS.T @ CURVE_DIRECTIONS + CURVE_REST * np.eye(len(CURVE_MEAN)))
+
+
+def _matrix_of(entries: np.ndarray) -> np.ndarray:
+    """(3, 3) with rows that sum to 1: grey stays."""
+    matrix = np.zeros((3, 3))
+    matrix[_OFF_DIAGONAL] = entries
+    return matrix + np.diag(1 - matrix.sum(axis=1))
+
+
+@functools.cache
+def entries(stated: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (6,) and covariance (6, 6) of the matrix's entries off the diagonal, its rows summing to 1.
+
+    Args:
+        stated: whether files say what colour space they are in, so that pictures were read as sRGB. Else
+            half the cameras write Display P3.
+    """
+    mean, covariance = MATRIX_MEAN, MATRIX_COVARIANCE
+    if not stated:
+        to_p3 = np.linalg.solve(primaries_to_xyz(P3_PRIMARIES, D65), primaries_to_xyz(SRGB_PRIMARIES, D65))
+
+        def in_p3(values: np.ndarray) -> np.ndarray:
+            return (to_p3 @ _matrix_of(values))[_OFF_DIAGONAL]
+
+        none = in_p3(np.zeros(6))
+        turn = np.stack([in_p3(unit) - none for unit in np.eye(6)], axis=1)
+        other = turn @ mean + none
+        apart = np.outer(other - mean, other - mean) / 4
+        mean = (mean + other) / 2
+        covariance = (covariance + turn @ covariance @ turn.T) / 2 + apart
+    return mean, covariance + LOOK**2 * np.eye(6)
 
 
 def usual_matrix() -> np.ndarray:
     """(3, 3) from balanced camera RGB to linear sRGB, the mean of real cameras; grey stays."""
-    matrix = np.zeros((3, 3))
-    matrix[~np.eye(3, dtype=bool)] = MATRIX_MEAN
-    return matrix + np.diag(1 - matrix.sum(axis=1))
+    return _matrix_of(MATRIX_MEAN)
 
 
-def deviations(params: Params, start: Params) -> dict[str, jax.Array]:
+def deviations(params: Params, start: Params, stated: bool = True) -> dict[str, jax.Array]:
     """How far parameters are from those of real cameras, in standard deviations, independent.
 
     Args:
         params: bounded.
         start: where filters begin.
+        stated: see `entries`.
 
     Returns:
         by the name of what they are about, a row each.
@@ -82,10 +115,11 @@ def deviations(params: Params, start: Params) -> dict[str, jax.Array]:
     matrix = jnp.asarray(params["color_matrix"].matrix)
     rows = jnp.log(jnp.maximum(matrix.sum(axis=1), STEEPEST))
     normalised = matrix / jnp.exp(rows)[:, None]
+    mean, covariance = entries(stated)
     lateral, bent = params["lateral_chromatic_aberration"], params["geometric_distortion"]
     shading = params["vignetting"]
     return {
-        "color_matrix": jnp.matmul(_MATRIX, normalised[~np.eye(3, dtype=bool)] - MATRIX_MEAN),
+        "color_matrix": jnp.matmul(_whitener(covariance), normalised[_OFF_DIAGONAL] - mean),
         "cast": (rows - rows.mean()) / CAST,
         "brightness": rows.mean(keepdims=True) / BRIGHTNESS,
         "curve": jnp.matmul(_CURVE, log_slopes(params) - CURVE_MEAN),
@@ -95,6 +129,18 @@ def deviations(params: Params, start: Params) -> dict[str, jax.Array]:
         "distortion": jnp.stack([bent.k1, bent.k2]) / DISTORTION,
         "filters": _from_start(params, start) / FILTERS,
     }
+
+
+_FILTERS = ("bilateral", "median", "unsharp_mask", model.SAMPLING)
+KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "look": (
+        ("color_matrix", "cast", "brightness", "curve", "saturation"),
+        ("color_matrix", *model.tone().names(), "saturation"),
+    ),
+    "lens": (("vignetting", "lateral", "distortion"), ("vignetting", *model.LENS)),
+    "filters": (("filters",), _FILTERS),
+}
+"""Kinds of parameters: the names of their deviations, and their stages."""
 
 
 def _row(number: Any) -> jax.Array:
@@ -109,9 +155,6 @@ def log_slopes(params: Params) -> jax.Array:
     return jnp.log(jnp.maximum(jnp.diff(curve) * count, STEEPEST))
 
 
-_FILTERS = ("bilateral", "median", "unsharp_mask", model.SAMPLING)
-
-
 def _from_start(params: Params, start: Params) -> jax.Array:
     there, here = (to_unbounded({name: tree[name] for name in _FILTERS}) for tree in (params, start))
     return jnp.stack(
@@ -123,13 +166,26 @@ def _from_start(params: Params, start: Params) -> jax.Array:
     )
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def linearised(layout: Layout, fixed: Params, start: Params, camera: Any, image: Any) -> tuple[Any, Any]:
-    """Deviations (m,) at two vectors of the fit, and their Jacobian (m, columns of both)."""
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def linearised(
+    layout: Layout,
+    stated: bool,
+    fixed: Params,
+    start: Params,
+    weights: dict[str, Any],
+    camera: Any,
+    image: Any,
+) -> tuple[Any, Any]:
+    """Deviations (m,) at two vectors of the fit, each times the root of its kind's weight, and their Jacobian
+    (m, columns of both)."""
 
     def rows(vector: jax.Array) -> jax.Array:
         parts = jnp.split(vector, [layout.size(CAMERA)])
-        return jnp.concatenate(list(deviations(layout.params(fixed, *parts), start).values()))
+        found = deviations(layout.params(fixed, *parts), start, stated)
+        weighted = [
+            found[name] * jnp.sqrt(weights[kind]) for kind, (names, _) in KINDS.items() for name in names
+        ]
+        return jnp.concatenate(weighted)
 
     vector = jnp.concatenate([camera, image])
     return rows(vector), jax.jacfwd(rows)(vector)

@@ -55,6 +55,13 @@ def test_a_camera_gives_its_choices_and_parameters():
         model.of_camera(phone())
 
 
+@pytest.mark.parametrize("name", model.DEMOSAICKERS)
+def test_a_camera_s_file_keeps_its_demosaicker(name):
+    camera = Recipe(model.camera("GRBG", model.Design(name)), {})
+    choices, _ = model.of_camera(Recipe.from_toml(camera.to_toml()))
+    assert choices["demosaic"] == name and name in model.demosaickers()
+
+
 def test_a_start_brings_the_stages_that_were_inserted():
     inserted = (
         *map(model.insertion, ("hue_rotation", "black_level")),

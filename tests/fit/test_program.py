@@ -7,7 +7,7 @@ import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
 from jaxisp.fit.journal import Journal
-from jaxisp.fit.program import CHROMA, jacobian_shape, normal_equations
+from jaxisp.fit.program import CHROMA, COLOURS, jacobian_shape, normal_equations
 from jaxisp.fit.search import Options, Search
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.tiles import prepare
@@ -57,6 +57,23 @@ def test_a_column_is_the_slope_of_a_whole_render(fitted, column):
     assert np.abs(wanted).max() > 0.01
     # what float32 keeps of a difference over so small a step
     np.testing.assert_allclose(found, wanted, atol=1e-6 / step[index])
+
+
+def test_scores_are_the_gradient_by_the_colour_of_the_picture(fitted):
+    """The reference: the same chunk with all but the pixels of one cell masked."""
+    fit, origin = fitted
+    (view,) = fit.views
+    chunk = view.chunks[0]
+    part = solved(fit, fit.given(0), fit.vector(origin, 0), chunk)
+    scores, vector = np.asarray(part.scores), np.asarray(part.vector)
+    size = np.abs(vector).max()
+    np.testing.assert_allclose(scores.sum(axis=0), vector, atol=1e-4 * size)
+    cells = np.floor(np.clip(np.asarray(chunk.target), 0, 0.999) * COLOURS) @ [COLOURS**2, COLOURS, 1]
+    commonest = np.bincount(cells[np.asarray(chunk.mask) > 0].astype(int)).argmax()
+    alone = chunk._replace(mask=chunk.mask * (cells == commonest).astype(np.float32))
+    wanted = np.asarray(solved(fit, fit.given(0), fit.vector(origin, 0), alone).vector)
+    np.testing.assert_allclose(scores[commonest], wanted, atol=1e-4 * size)
+    assert np.abs(wanted).max() > 1e-3 * size
 
 
 def test_what_does_not_move_has_no_slope(fitted):

@@ -36,6 +36,16 @@ def test_tones_and_hues_beyond_are_told_and_others_not():
     assert Seen.from_dict(again.as_dict(), "camera") == again
 
 
+def test_tones_that_lack_between_those_that_were_fitted_are_told():
+    both = Seen.of(np.concatenate([GREY / 16, GREY + 0.5]))  # nothing from 1/32 to 1/2
+    assert both.gaps == (2, 3, 4, 5)
+    assert both.beyond(GREY / 16) == both.beyond(GREY + 0.5) == []
+    (told,) = both.beyond(np.concatenate([GREY + 0.5, np.full((50, 3), 0.3)]))
+    assert told == "20 % of tones that lack between those that were fitted"
+    assert Seen.of(GREY).gaps == ()
+    assert Seen.from_dict(both.as_dict(), "camera") == both
+
+
 def camera(seen: dict) -> Recipe:
     plain = standard_camera("demosaic_bilinear")
     return Recipe(plain.chain, plain.prior, meta={"seen": seen} if seen else {})

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxisp.colorimetry import primaries_to_xyz
 from jaxisp.fit import model
 from jaxisp.fit.begin import _near_usual
 from jaxisp.fit.journal import Journal
@@ -16,11 +17,14 @@ from jaxisp.fit.usual import (
     CURVE_REST,
     LOOK,
     MATRIX_COVARIANCE,
-    SIXTH,
+    MATRIX_MEAN,
+    P3_PRIMARIES,
     deviations,
+    entries,
     log_slopes,
     usual_matrix,
 )
+from jaxisp.io.color_space import D65, SRGB_PRIMARIES
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.power import Gamma
 from tests.fit.conftest import example
@@ -42,8 +46,24 @@ def test_a_matrix_deviates_by_its_mahalanobis_distance_whatever_its_gains():
     matrix += np.diag(1 - matrix.sum(axis=1))
     scaled = ColorMatrix(matrix=matrix * [[1.5], [1.2], [0.9]])
     found = deviations(start | {"color_matrix": scaled}, start)["color_matrix"]
-    covariance = SIXTH * MATRIX_COVARIANCE + LOOK**2 * np.eye(6)
+    covariance = MATRIX_COVARIANCE + LOOK**2 * np.eye(6)
     assert float(found @ found) == pytest.approx(step @ np.linalg.inv(covariance) @ step, rel=1e-3)
+
+
+def test_where_no_file_states_the_colour_space_half_the_cameras_write_display_p3():
+    """Against draws of the cameras, whose colours are taken to P3 by XYZ and back."""
+    rng = np.random.default_rng(4)
+    drawn = rng.multivariate_normal(MATRIX_MEAN, MATRIX_COVARIANCE, 40000)
+    off = ~np.eye(3, dtype=bool)
+    matrices = np.zeros((len(drawn), 3, 3))
+    matrices[:, off] = drawn
+    matrices += (1 - matrices.sum(axis=2))[:, :, None] * np.eye(3)
+    to_xyz = [primaries_to_xyz(p, D65) for p in (SRGB_PRIMARIES, P3_PRIMARIES)]
+    matrices[::2] = np.linalg.inv(to_xyz[1]) @ to_xyz[0] @ matrices[::2]
+    np.testing.assert_allclose(matrices.sum(axis=2), 1, atol=1e-9)
+    mean, covariance = entries(False)
+    np.testing.assert_allclose(matrices[:, off].mean(axis=0), mean, atol=0.01)
+    np.testing.assert_allclose(np.cov(matrices[:, off].T) + LOOK**2 * np.eye(6), covariance, atol=4e-3)
 
 
 def test_the_curve_is_that_of_its_three_stages():
@@ -83,9 +103,14 @@ def test_how_many_pixels_count_as_one_is_read_from_the_scores(patch):
     curvature, variance = root @ root.T, 1e-4
     factor = np.linalg.cholesky(curvature)
     scores = np.sqrt(patch * variance / 800) * rng.normal(size=(800, 6)) @ factor.T
-    assert patch_at(_equations(scores, curvature, variance)) == pytest.approx(patch, rel=0.1)
-    assert patch_at(_equations(scores / 1000, curvature, variance)) == PATCH
-    assert patch_at(_equations(scores[:1], curvature, variance)) == PATCH  # one says nothing
+    some = np.arange(1, 5)
+    for own in np.arange(6), some:
+        found = patch_at(_equations(scores, curvature, variance), own)
+        assert found == pytest.approx(patch, rel=0.1)
+    assert patch_at(_equations(scores / 1000, curvature, variance), some) == PATCH
+    assert patch_at(_equations(scores[:1], curvature, variance), some) == PATCH  # one says nothing
+    scores[:, 5] *= 10  # of another kind
+    assert patch_at(_equations(scores, curvature, variance), some) == pytest.approx(patch, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +128,23 @@ def test_the_pull_has_the_gradient_that_it_says(search):
     step = 1e-2 * rng.normal(size=size)
     difference = fit._pull(state.moved(step))[0] - fit._pull(state.moved(-step))[0]
     assert difference == pytest.approx(4 * gradient @ step, rel=0.02)
+
+
+def test_of_many_choices_those_nearest_to_the_picture_get_a_step(search, monkeypatch):
+    designs = [model.Design(name) for name in model.DEMOSAICKERS]
+    far = dict(zip(designs, [7, 1, 9, 3, 8, 2, 12, 11, 10, 5, 4, 6, 13]))
+
+    class Told:
+        def __init__(self, design):
+            self.design = design
+
+        def objective(self, state):
+            return far[self.design]
+
+    monkeypatch.setattr(search, "_fit", Told)
+    kept = search._nearest(designs, search.origin)
+    assert [far[d] for d in kept] == [1, 2, 3, 4, 5]
+    assert search._nearest(designs[:5], search.origin) == designs[:5]
 
 
 def test_halves_have_each_fitted_pixel_once(search):
