@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
 from jaxisp.params import Leaf, param, parameters
@@ -22,7 +23,9 @@ class GaussianNoise:
 
 
 @register
-def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Image:
+def gaussian_noise(
+    params: GaussianNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add white Gaussian noise, the same strength everywhere and in all channels.
 
     `y = x + std * n`, n standard normal.
@@ -31,6 +34,7 @@ def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Im
         params: std, in the unit of the image.
         image: (H, W) or (H, W, 3), any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -39,7 +43,7 @@ def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Im
 
     Source: Jaroensri et al. 2019, table 1 ("AWGN").
     """
-    return image + params.std.astype(image.dtype) * normal(key, image)
+    return image + params.std.astype(image.dtype) * normal(key, image, extent=extent)
 
 
 @parameters
@@ -51,7 +55,9 @@ class ShotReadNoise:
 
 
 @register
-def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> Image:
+def shot_read_noise(
+    params: ShotReadNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add signal-dependent Gaussian noise: photons and readout.
 
     `y = x + sqrt(shot * max(x, 0) + read**2) * n`, n standard normal.
@@ -61,6 +67,7 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
             a DNG's NoiseProfile (S, O) is shot = S, read = sqrt(O).
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -70,7 +77,7 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
     Source: Foi et al. 2008; Jaroensri et al. 2019, section 3 ("AMWGN").
     """
     shot, read = params.shot.astype(image.dtype), params.read.astype(image.dtype)
-    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read * read) * normal(key, image)
+    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read * read) * normal(key, image, extent=extent)
 
 
 @parameters

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
 from jaxisp.params import Leaf, param, parameters
@@ -22,7 +23,9 @@ class ShotReadLaw:
 
 
 @register
-def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image:
+def shot_read_law(
+    params: ShotReadLaw, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add signal-dependent Gaussian noise whose read noise follows from its shot noise.
 
     `y = x + sqrt(shot * max(x, 0) + read) * n`, n standard normal,
@@ -33,6 +36,7 @@ def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image
             are those of the cameras of the Darmstadt Noise Dataset.
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -44,7 +48,7 @@ def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image
     """
     shot = params.shot.astype(image.dtype)
     read = _on_line(params.shot, params.slope, params.intercept, params.deviation).astype(image.dtype)
-    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read) * normal(key, image)
+    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read) * normal(key, image, extent=extent)
 
 
 def _on_line(x: jax.Array, slope: jax.Array, intercept: jax.Array, deviation: jax.Array) -> jax.Array:
