@@ -10,8 +10,8 @@ from jaxisp.arrays.extents import LEAST, Size, has_room
 
 MOST_FRAMES = 8
 """Programs of a recipe for a folder of pictures, whatever their sizes."""
-MOST_PIXELS = 4_000_000
-"""Of a frame that is shared: larger pictures run in strips of rows, each in a program of its own."""
+MOST_PIXELS = 2_000_000
+"""Of pictures that share frames. Larger ones go alone: in strips of rows, which frames are not cut into."""
 _AT_ONCE = 256  # sizes that are compared with each other
 
 
@@ -22,15 +22,19 @@ class Frames:
 
     Args:
         sizes: of the frames.
+        exact: those of them that are for pictures of their own size alone, which fill them.
         margin: how much larger than a picture a frame is, along an axis where it is not as large [px].
     """
 
     sizes: tuple[Size, ...] = ()
+    exact: frozenset[Size] = frozenset()
     margin: int = 0
 
     def of(self, size: Size) -> Size | None:
         """The smallest frame for pictures of a size; None where they go alone."""
-        fits = [f for f in self.sizes if has_room(size, f, self.margin)]
+        if size in self.exact:
+            return size
+        fits = [f for f in self.sizes if f not in self.exact and has_room(size, f, self.margin)]
         return min(fits, key=lambda frame: frame[0] * frame[1], default=None)
 
 
@@ -56,8 +60,9 @@ def shared_frames(counts: Mapping[Size, int], margin: int | None) -> Frames:
         i, j = sorted(np.unravel_index(np.argmin(np.where(np.eye(len(high)), np.inf, more)), more.shape))
         low[i], high[i], pictures[i] = least[i, j], most[i, j], both[i, j]
         low, high, pictures = (np.delete(x, j, 0) for x in (low, high, pictures))
-    frames = high + margin * (low < high)
-    return Frames(tuple((int(h), int(w)) for h, w in frames), margin)
+    sizes = [(int(h), int(w)) for h, w in high + margin * (low < high)]
+    exact = frozenset(size for size, same in zip(sizes, (low == high).all(1)) if same)
+    return Frames(tuple(sizes), exact, margin)
 
 
 def _groups(counts: Mapping[Size, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

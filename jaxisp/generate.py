@@ -38,6 +38,7 @@ from jaxisp.mixture import Degradation, Mixture, check_runs
 from jaxisp.process.memory import forget_beyond
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_degradation
+from jaxisp.stages.draws import by_index
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
@@ -158,12 +159,13 @@ class Work:
         for batch in self._batches(which, outcome, done):
             indices = np.asarray([sample.index for sample, _ in batch], np.int32)
             images = [image for _, image in batch]
-            if frame := self._frames.of(images[0].shape[:2]):
-                given = _framed(images, indices, frame, self._at_once[frame])
+            if frame := self._frames.of(_size(images[0])):
+                filled, indices, sizes = _framed(images, indices, frame, self._at_once[frame])
             else:
-                given = np.stack(images), indices
-            forget_beyond(self._sizes, given[0].shape)
-            noisy, _, params = self.degradation.degrade(key, *given)
+                filled, sizes = np.stack(images), None
+            forget_beyond(self._sizes, filled.shape)
+            sizes = None if frame in self._frames.exact else sizes
+            noisy, _, params = self.degradation.degrade(key, filled, indices, sizes)
             if before is not None:
                 yield from self._fetch(*before)
             before = batch, noisy, params
@@ -172,7 +174,8 @@ class Work:
 
     @functools.cached_property
     def _frames(self) -> Frames:
-        return shared_frames(self._counts, _margin(self.degradation))
+        margin = self.degradation.margin if by_index(jax.random.key(self.seed)) else None
+        return shared_frames(self._counts, margin)
 
     @functools.cached_property
     def _counts(self) -> Counter[Size]:
@@ -246,9 +249,8 @@ class Work:
             image = self._read(self.paths[i], namesakes, outcome) if samples else None
             if image is None:
                 continue
-            own_size = image.shape[0], image.shape[1]
-            frame = self._frames.of(own_size)
-            size = frame or own_size
+            frame = self._frames.of(_size(image))
+            size = frame or _size(image)
             many = self._at_once[frame] if frame else max(1, BATCH_PIXELS // (size[0] * size[1]))
             for sample in samples:
                 waiting[size].append((sample, image))
@@ -281,9 +283,8 @@ class Work:
             return None
 
 
-def _margin(degradation: Degradation) -> int | None:
-    """`Node.margin` of what pictures go through; None where they go through different chains."""
-    return degradation.chain.margin if isinstance(degradation, Recipe) else None
+def _size(image: np.ndarray) -> Size:
+    return image.shape[0], image.shape[1]
 
 
 def _framed(
@@ -291,11 +292,12 @@ def _framed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Images, indices and sizes of a whole batch: frames with a picture each, the first of them again at the
     end."""
-    images, indices = ([*given, *[given[0]] * (count - len(given))] for given in (images, indices))
+    rows = [*range(len(images)), *[0] * (count - len(images))]
+    images = [images[i] for i in rows]
     framed = np.zeros((count, *frame, 3), np.float32)
     for own, image in zip(framed, images):
         own[: image.shape[0], : image.shape[1]] = image
-    return framed, np.asarray(indices), np.array([image.shape[:2] for image in images])
+    return framed, indices[rows], np.array([*map(_size, images)])
 
 
 def _is_sound(path: Path) -> bool:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signatu
 from jaxisp.priors import check_prior, draw, is_traced
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
+from jaxisp.stages.draws import by_index
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 
@@ -94,6 +95,11 @@ class Recipe:
     @property
     def name(self) -> str:
         return self.chain.name
+
+    @property
+    def margin(self) -> int | None:
+        """`Chain.margin`: how much larger than pictures of several sizes their images are, see `degrade`."""
+        return self.chain.margin
 
     @functools.cached_property
     def _text(self) -> str:
@@ -225,7 +231,7 @@ class Recipe:
             images: (N, H, W, 3) floats, encoded sRGB in [0, 1]; taken as float32.
             start: the global index of the first image, or (N,) indices; from 0 to 2**31 - 1.
             sizes: (N, 2) rows and columns, where pictures of several sizes are the top left of their images,
-                which are larger by `chain.margin`, or as large, along each axis. A picture comes out as it
+                which are larger by `margin`, or as large, along each axis. A picture comes out as it
                 would alone, to the bit; what is around it has no meaning.
 
         Returns:
@@ -243,7 +249,7 @@ class Recipe:
         who = f"recipe {self.name!r}"
         given = taken(who, key, images, start, self.chain.domain_in)
         return _degrade(
-            self.chain, strong(self.prior), *given, extents_of(who, self.chain, sizes, *given[:2])
+            self.chain, strong(self.prior), *given, extents_of(who, (self.chain,), sizes, *given[:2])
         )
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
@@ -329,24 +335,26 @@ def taken(
 
 
 def extents_of(
-    who: str, chain: Chain, sizes: ArrayLike | None, key: jax.Array, images: jax.Array
+    who: str, chains: Sequence[Chain], sizes: ArrayLike | None, key: jax.Array, images: jax.Array
 ) -> Extent | None:
     """The sizes of pictures in larger images as they are computed with. Raises InputError."""
     if sizes is None:
         return None
-    if chain.margin is None:
-        alone = ", ".join(node.name for node in chain.nodes if node.margin is None)
-        raise InputError(f"{who}: what {alone} gives depends on the size of the image: leave sizes out")
-    if str(jax.random.key_impl(key)) != "threefry2x32":
+    margins = {node.name: node.margin for chain in chains for node in chain.nodes}
+    if alone := [name for name, margin in margins.items() if margin is None]:
+        told = ", ".join(alone)
+        raise InputError(f"{who}: what {told} gives depends on the size of the image: leave sizes out")
+    margin = max(filter(None, margins.values()), default=0)
+    if not by_index(key):
         raise InputError(f"{who}: noise of pictures in larger images needs a key of Threefry")
-    given, frame = np.asarray(sizes), images.shape[1:3]
+    given, frame = np.asarray(sizes), (images.shape[1], images.shape[2])
     if given.shape != (len(images), 2) or not np.issubdtype(given.dtype, np.integer):
         raise InputError(f"{who}: sizes are ({len(images)}, 2) rows and columns, got {short(given)}")
     for height, width in np.unique(given, axis=0).tolist():
-        if not has_room((height, width), frame, chain.margin):
+        if not has_room((height, width), frame, margin):
             raise InputError(
                 f"{who}: a picture of {height} x {width} px in an image of {frame[0]} x {frame[1]}: a side "
-                f"is the same or {chain.margin} px less, and at least {LEAST}"
+                f"is the same or {margin} px less, and at least {LEAST}"
             )
     return Extent(*jnp.asarray(given.T, jnp.int32))
 

@@ -287,7 +287,7 @@ def _frame_agrees(subject: Subject) -> None:
         image, params = subject.image(seed)[:rows, :columns], subject.params(seed=seed)
         around = [(0, height + margin - rows), (0, width + margin - columns), (0, 0)][: image.ndim]
         frame = np.pad(image, around, constant_values=0.7)
-        out = framed(params, frame, Extent(np.int32(rows), np.int32(columns)))[:rows, :columns]
+        out = framed(params, frame, Extent(jnp.int32(rows), jnp.int32(columns)))[:rows, :columns]
         same = np.asarray(out).tobytes() == np.asarray(run(node, params, image, key)).tobytes()
         _require(same, f"{node.name}: {rows} x {columns} px come out otherwise of a larger frame")
 

@@ -12,6 +12,7 @@ from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.draws import uniform
 from jaxisp.stages.noise.draws import normal
 
 
@@ -89,7 +90,9 @@ class PoissonNoise:
 
 
 @register
-def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Image:
+def poisson_noise(
+    params: PoissonNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Count electrons, then add Gaussian read noise: `shot_read_noise` without its approximation.
 
     `y = x + (gain * N - max(x, 0)) + read * n`, N Poisson of mean max(x, 0) / gain, n standard normal.
@@ -99,6 +102,7 @@ def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Imag
         params: gain and read.
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -112,12 +116,12 @@ def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Imag
     gain, read = params.gain.astype(image.dtype), params.read.astype(image.dtype)
     count_key, read_key = jax.random.split(key)
     mean = lax.stop_gradient(jnp.maximum(image, 0) / gain)
-    excess = lax.stop_gradient(gain) * poisson_excess(count_key, mean)
+    excess = lax.stop_gradient(gain) * poisson_excess(count_key, mean, extent)
     growth = jnp.sqrt(gain / lax.stop_gradient(gain))  # 1 in value
-    return image + straight_through(excess, excess * growth) + read * normal(read_key, image)
+    return image + straight_through(excess, excess * growth) + read * normal(read_key, image, extent=extent)
 
 
-def poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
+def poisson_excess(key: jax.Array, mean: jax.Array, extent: Extent | None = None) -> jax.Array:
     """N - mean, with N Poisson: the quantile function at a uniform draw.
 
     Unlike rejection it takes keys of every kind, has no loop of unknown length, and changes as little
@@ -127,9 +131,10 @@ def poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     if mean.ndim > 2:
         # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
         rows = materialize(mean.reshape(len(mean), math.prod(mean.shape[1:])))
-        return materialize(poisson_excess(key, rows)).reshape(mean.shape)
+        own = extent and extent._replace(width=extent.width * (rows.shape[1] // mean.shape[1]))
+        return materialize(poisson_excess(key, rows, own)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
-    sign = jax.random.uniform(key, mean.shape, mean.dtype, minval=-1 + tiny, maxval=1)
+    sign = uniform(key, mean.shape, mean.dtype, -1 + float(tiny), 1, extent)
     return jnp.where(mean < 16, _summed(0.5 * (1 + sign), mean), _expanded(sign, mean))
 
 
