@@ -256,7 +256,7 @@ def _compress(
     y = _wider(y, y[:, -1:], chroma.shape[1] - y.shape[1])
     blocks = jnp.concatenate([y, chroma]).reshape(-1, 8, chroma.shape[1])
     tables = jnp.stack([luma_table, chroma_table])
-    coded = through_blocks(lax.optimization_barrier(blocks), tables, len(y) // 8)
+    coded = through_blocks(lax.optimization_barrier(blocks), tables, (len(y) // 8,))
     coded = coded.reshape(-1, blocks.shape[2])
     y = jnp.where(lost, jnp.nan, coded[: shape[0], : shape[1]])
     cb, cr = unpack(coded[-len(chroma) :])
@@ -266,18 +266,23 @@ def _compress(
 def compress_each(planes: Planes, tables: jax.Array, subsampling: str) -> Planes:
     """Components as they stand, each coded and decoded with a table of its own.
 
+    They go through the transform as one array, one below the other; those half as wide in two halves side by
+    side.
+
     Args:
         planes: three (H, W) planes of whole numbers in 0..255.
         tables: (3, 8, 8) whole numbers in 1..65535.
         subsampling: a key of `SAMPLING`: of the second and the third.
     """
-
-    def one(plane: jax.Array, table: jax.Array, step: tuple[int, int]) -> jax.Array:
-        small = downsample(plane, step)
-        blocks = materialize(small.reshape(-1, 8, small.shape[1]))
-        coded = through_blocks(blocks, jnp.stack([table, table]), len(blocks))
-        return upsample(coded.reshape(small.shape), plane.shape, step)
-
-    steps = (1, 1), SAMPLING[subsampling], SAMPLING[subsampling]
-    first, second, third = (one(*each) for each in zip(planes, tables, steps))
-    return first, second, third
+    step, shape = SAMPLING[subsampling], planes[0].shape
+    first, *others = (downsample(p, s) for p, s in zip(planes, ((1, 1), step, step)))
+    small, parts = others[0].shape, step[1]
+    folded = [jnp.concatenate(jnp.split(_lower(p, -len(p) % (8 * parts)), parts), 1) for p in others]
+    width = folded[0].shape[1]
+    first = _wider(first, first[:, -1:], width - first.shape[1])
+    joined = materialize(jnp.concatenate([first, *folded]).reshape(-1, 8, width))
+    ends = len(first), len(first) + len(folded[0])
+    coded = through_blocks(joined, tables, (ends[0] // 8, ends[1] // 8)).reshape(-1, width)
+    whole, *halves = jnp.split(coded, ends)
+    second, third = (jnp.concatenate(jnp.split(half, parts, 1))[: small[0]] for half in halves)
+    return whole[: shape[0], : shape[1]], upsample(second, shape, step), upsample(third, shape, step)
