@@ -47,9 +47,9 @@ def shared_frames(counts: Mapping[Size, int], margin: int | None) -> Frames:
         counts: pictures of each size.
         margin: `Node.margin` of what they go through.
     """
-    if margin is None or len(counts) <= MOST_FRAMES:
-        return Frames()
     small = {s: n for s, n in counts.items() if min(s) >= LEAST and s[0] * s[1] <= MOST_PIXELS}
+    if margin is None or len(counts) <= MOST_FRAMES or not small:
+        return Frames()
     low, high, pictures = _groups(small)
     while len(high) > MOST_FRAMES:
         least = np.minimum(low[:, None], low)

@@ -356,7 +356,7 @@ def extents_of(
                 f"{who}: a picture of {height} x {width} px in an image of {frame[0]} x {frame[1]}: a side "
                 f"is the same or {margin} px less, and at least {LEAST}"
             )
-    return Extent(*jnp.asarray(given.T, jnp.int32))
+    return Extent(*(jnp.asarray(sides, jnp.int32) for sides in given.T))
 
 
 def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:

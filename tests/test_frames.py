@@ -31,9 +31,20 @@ def test_every_picture_has_a_frame_with_room(counts, margin):
 
 
 def test_a_side_that_all_have_is_that_of_the_frame():
-    frames = shared_frames({(2040, 1000 + k): 1 for k in range(200)}, 12)
-    assert len(frames.sizes) == 8 and {height for height, _ in frames.sizes} == {2040}
-    assert max(width for _, width in frames.sizes) == 1199 + 12
+    frames = shared_frames({(640, 300 + k): 1 for k in range(200)}, 12)
+    assert len(frames.sizes) == 8 and {height for height, _ in frames.sizes} == {640}
+    assert max(width for _, width in frames.sizes) == 499 + 12
+
+
+def test_sizes_of_many_pictures_have_frames_that_they_fill():
+    counts = {(32 + k, 40): 1 for k in range(30)} | {(480, 640): 1000, (640, 480): 500}
+    frames = shared_frames(counts, 2)
+    assert frames.exact >= {(480, 640), (640, 480)} and frames.of((480, 640)) == (480, 640)
+    assert frames.of((478, 638)) is None  # what fills its frame is alone in it
+
+
+def test_pictures_too_large_or_too_small_go_alone():
+    assert shared_frames({(3000 + k, 4000): 1 for k in range(9)} | {(4, 9): 1}, 2) == Frames()
 
 
 @pytest.mark.parametrize("count", [200, 1000])
