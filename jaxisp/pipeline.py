@@ -21,6 +21,7 @@ from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
 from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.checks import check_count, check_key, check_scale, check_start
@@ -538,7 +539,7 @@ def over_batch(
     if varying((params, images, keys)):
         # under vmap jax 0.10 lets a branch's constants vary as the switch does, and then refuses them
         return in_turn(params, images, of_images)
-    return lax.platform_dependent(params, images, of_images, cpu=in_turn, default=together)
+    return by_platform(params, images, of_images, cpu=in_turn, default=together)
 
 
 def spread(

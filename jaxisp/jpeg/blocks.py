@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import nearest_int
 
 
@@ -147,7 +148,7 @@ def _coded(
 ) -> tuple[jax.Array, ...]:
     """The coded blocks, and the slopes of their coefficients, (R, 8, W / 8, 8), where they are wanted."""
     by_lines, by_sums = partial(_by_lines, ends, slopes), partial(_by_sums, ends, slopes)
-    return lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)
+    return by_platform(blocks, tables, cpu=by_lines, default=by_sums)
 
 
 # On a CPU: sample by sample of a block, so that what is added lies in planes as long as there are blocks
