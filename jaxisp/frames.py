@@ -38,7 +38,7 @@ class Frames:
         return min(fits, key=lambda frame: frame[0] * frame[1], default=None)
 
 
-def shared_frames(counts: Mapping[Size, int], margin: int | None) -> Frames:
+def shared_frames(counts: Mapping[Size, int], margin: int) -> Frames:
     """Few frames for many sizes, with few pixels in all.
 
     Two groups of sizes after another are joined, those where this adds the fewest pixels.
@@ -48,7 +48,7 @@ def shared_frames(counts: Mapping[Size, int], margin: int | None) -> Frames:
         margin: `Node.margin` of what they go through.
     """
     small = {s: n for s, n in counts.items() if min(s) >= LEAST and s[0] * s[1] <= MOST_PIXELS}
-    if margin is None or len(counts) <= MOST_FRAMES or not small:
+    if len(counts) <= MOST_FRAMES or not small:
         return Frames()
     low, high, pictures = _groups(small)
     while len(high) > MOST_FRAMES:

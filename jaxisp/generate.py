@@ -174,7 +174,9 @@ class Work:
 
     @functools.cached_property
     def _frames(self) -> Frames:
-        margin = self.degradation.margin if by_index(jax.random.key(self.seed)) else None
+        margin = self.degradation.margin
+        if margin is None or not by_index(jax.random.key(self.seed)):
+            return Frames()
         return shared_frames(self._counts, margin)
 
     @functools.cached_property

@@ -13,7 +13,7 @@ from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Order, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe, _degrade, check_levels, check_photographs, check_traces
-from jaxisp.recipes import RECIPES, find_recipe
+from jaxisp.recipes import RECIPES, find_recipe, mix
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.testing import smooth_image
 
@@ -387,6 +387,16 @@ def test_a_picture_comes_out_of_a_larger_frame_as_alone(nodes, margin):
         alone, _, own = recipe.degrade(jax.random.key(5), picture[None], i)
         np.testing.assert_array_equal(noisy[i, : picture.shape[0], : picture.shape[1]], alone[0])
         jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[0]), params, own)
+
+
+def test_a_mixture_of_such_recipes_takes_frames_too():
+    mixture = mix({"awgn": 0.5, "clean": 0.5})
+    pictures = [smooth_image((9 + i, 14, 3), i).astype(np.float32) for i in range(3)]
+    noisy = in_frames(mixture, pictures, (12, 14))[0]
+    assert mixture.margin == 0 and mix({"awgn": 0.5, "phone": 0.5}).margin is None
+    for i, picture in enumerate(pictures):
+        alone, _, _ = mixture.degrade(jax.random.key(5), picture[None], i)
+        np.testing.assert_array_equal(noisy[i, : len(picture)], alone[0])
 
 
 @pytest.mark.parametrize(
