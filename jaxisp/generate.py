@@ -5,7 +5,7 @@ import functools
 import hashlib
 import os
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,10 @@ import jax
 import numpy as np
 import tomli_w
 
+from jaxisp.arrays.extents import Size
 from jaxisp.checks import check_seed, check_whole, several
 from jaxisp.errors import InputError
+from jaxisp.frames import MOST_FRAMES, Frames, shared_frames
 from jaxisp.io.digests import digest_of, is_file_of, read_sealed, sealed_toml
 from jaxisp.io.files import (
     MOST_NAME,
@@ -30,17 +32,20 @@ from jaxisp.io.files import (
     write_new,
     write_text,
 )
-from jaxisp.io.images import read_image, write_png
+from jaxisp.io.images import read_image, size_of, write_png
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, Mixture, check_runs
 from jaxisp.process.memory import forget_beyond
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RecipeLike, find_degradation
+from jaxisp.stages.draws import by_index
 
 BATCH_PIXELS = 2_000_000
 """Pixels that go to the device at once; bounds the memory of a run."""
 WAITING_PIXELS = 4 * BATCH_PIXELS
-"""Pixels that wait for others of their size."""
+"""Pixels that wait for others of their size, or of their frame."""
+MOST_SIZED = 2000
+"""Pictures whose sizes frames are made for; others go where they fit."""
 
 Tick = Callable[[int, int], Any]
 
@@ -146,25 +151,59 @@ class Work:
     ) -> Iterator[Degraded]:
         """Degrade these samples, those apart that are `done`; out of order where sizes differ.
 
-        The device computes one batch while the one before it is used, and the next one read. After some sizes
-        the programs of all are forgotten, those of others in the process too: see `forget_compiled`.
+        The device computes one batch while the one before it is used, and the next one read. Pictures of many
+        sizes share frames, where their results do not depend on it. After some sizes the programs of all are
+        forgotten, those of others in the process too: see `forget_compiled`.
         """
         key, before = jax.random.key(self.seed), None
         for batch in self._batches(which, outcome, done):
-            forget_beyond(self._sizes, (len(batch), batch[0][1].shape))
             indices = np.asarray([sample.index for sample, _ in batch], np.int32)
-            noisy, _, params = self.degradation.degrade(key, np.stack([image for _, image in batch]), indices)
+            images = [image for _, image in batch]
+            if frame := self._frames.of(_size(images[0])):
+                filled, indices, sizes = _framed(images, indices, frame, self._at_once[frame])
+            else:
+                filled, sizes = np.stack(images), None
+            forget_beyond(self._sizes, filled.shape)
+            sizes = None if frame in self._frames.exact else sizes
+            noisy, _, params = self.degradation.degrade(key, filled, indices, sizes)
             if before is not None:
                 yield from self._fetch(*before)
             before = batch, noisy, params
         if before is not None:
             yield from self._fetch(*before)
 
+    @functools.cached_property
+    def _frames(self) -> Frames:
+        margin = self.degradation.margin
+        if margin is None or not by_index(jax.random.key(self.seed)):
+            return Frames()
+        return shared_frames(self._counts, margin)
+
+    @functools.cached_property
+    def _counts(self) -> Counter[Size]:
+        """Pictures by size, as the headers of some tell."""
+        some = self.paths[:: -(-len(self.paths) // MOST_SIZED)]
+        return Counter(size for size in map(size_of, some) if size)
+
+    @functools.cached_property
+    def _at_once(self) -> dict[Size, int]:
+        """Pictures of a batch, by frame: as many in each, and so few that all frames' may wait."""
+        own: Counter[Size | None] = Counter()
+        for size, pictures in self._counts.items():
+            own[self._frames.of(size)] += self.count * pictures
+        found = {}
+        for frame in self._frames.sizes:
+            most = max(1, WAITING_PIXELS // (MOST_FRAMES * frame[0] * frame[1]))
+            batches = -(-max(own[frame], 1) // most)
+            found[frame] = -(-max(own[frame], 1) // batches)
+        return found
+
     def _fetch(self, batch: list[tuple[Sample, np.ndarray]], noisy: Any, params: Any) -> Iterator[Degraded]:
         noisy, params = jax.device_get((noisy, params))
         for i, (sample, clean) in enumerate(batch):
             drawn = jax.tree.map(lambda leaf, i=i: leaf[i], params)
-            yield Degraded(sample, clean, noisy[i], self._drawn(sample, drawn))
+            own = noisy[i, : clean.shape[0], : clean.shape[1]]
+            yield Degraded(sample, clean, own, self._drawn(sample, drawn))
 
     def digest_of(self, path: Path) -> str:
         """SHA-256 of an input, taken once; "" where it cannot be read."""
@@ -197,13 +236,13 @@ class Work:
     def _batches(
         self, which: range, outcome: Outcome, done: Callable[[Sample], bool]
     ) -> Iterator[list[tuple[Sample, np.ndarray]]]:
-        """Samples of one size together, so that a size is compiled once; the last batch may be smaller, and
-        those of many sizes, which do not wait for more of each."""
-        waiting: dict[tuple[int, ...], list[tuple[Sample, np.ndarray]]] = defaultdict(list)
+        """Samples of one size, or of one frame, together, so that it is compiled once; the last batch may be
+        smaller, and those of many sizes, which do not wait for more of each."""
+        waiting: dict[Size, list[tuple[Sample, np.ndarray]]] = defaultdict(list)
         namesakes = self._namesakes()
 
-        def pixels(shape: tuple[int, ...]) -> int:
-            return shape[0] * shape[1] * len(waiting[shape])
+        def pixels(size: Size) -> int:
+            return size[0] * size[1] * len(waiting[size])
 
         for i in range(which.start // self.count, -(-which.stop // self.count)):
             own = range(max(which.start, i * self.count), min(which.stop, (i + 1) * self.count))
@@ -212,11 +251,13 @@ class Work:
             image = self._read(self.paths[i], namesakes, outcome) if samples else None
             if image is None:
                 continue
-            size = max(1, BATCH_PIXELS // (image.shape[0] * image.shape[1]))
+            frame = self._frames.of(_size(image))
+            size = frame or _size(image)
+            many = self._at_once[frame] if frame else max(1, BATCH_PIXELS // (size[0] * size[1]))
             for sample in samples:
-                waiting[image.shape].append((sample, image))
-                if len(waiting[image.shape]) == size:
-                    yield waiting.pop(image.shape)
+                waiting[size].append((sample, image))
+                if len(waiting[size]) == many:
+                    yield waiting.pop(size)
             if sum(map(pixels, waiting)) > WAITING_PIXELS:
                 yield waiting.pop(max(waiting, key=pixels))
         yield from waiting.values()
@@ -242,6 +283,23 @@ class Work:
         except InputError as error:
             outcome.failed.append((str(path), str(error)))
             return None
+
+
+def _size(image: np.ndarray) -> Size:
+    return image.shape[0], image.shape[1]
+
+
+def _framed(
+    images: list[np.ndarray], indices: np.ndarray, frame: Size, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Images, indices and sizes of a whole batch: frames with a picture each, the first of them again at the
+    end."""
+    rows = [*range(len(images)), *[0] * (count - len(images))]
+    images = [images[i] for i in rows]
+    framed = np.zeros((count, *frame, 3), np.float32)
+    for own, image in zip(framed, images):
+        own[: image.shape[0], : image.shape[1]] = image
+    return framed, indices[rows], np.array([*map(_size, images)])
 
 
 def _is_sound(path: Path) -> bool:

@@ -35,6 +35,7 @@ from jaxisp.recipe import (
     check_drawn,
     check_photographs,
     check_traces,
+    extents_of,
     sample_halves,
     taken,
 )  # fmt: skip
@@ -154,7 +155,15 @@ class Mixture:
     def _branches(self) -> Branches:
         return tuple((name, recipe.chain) for name, recipe in self.recipes.items())
 
-    def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
+    @property
+    def margin(self) -> int | None:
+        """As that of a recipe; None where that of one is."""
+        each = [recipe.margin for recipe in self.recipes.values()]
+        return None if None in each else max(filter(None, each), default=0)
+
+    def degrade(
+        self, key: jax.Array, images: ArrayLike, start: Any = 0, sizes: ArrayLike | None = None
+    ) -> Degraded:
         """Degrade a batch on the device, each image by a recipe of its own.
 
         An image that has a recipe gets the draws that this recipe gives for the same key and index. Which one
@@ -167,7 +176,9 @@ class Mixture:
         check_backend()
         prior = {name: strong(recipe.prior) for name, recipe in self.recipes.items()}
         given = taken("a mixture", key, images, start)
-        return _degrade(self._branches, _ends(self.shares), prior, *given)
+        chains = [chain for _, chain in self._branches]
+        extents = extents_of("a mixture", chains, sizes, *given[:2])
+        return _degrade(self._branches, _ends(self.shares), prior, *given, extents)
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
@@ -251,7 +262,13 @@ def check_runs(degradation: Degradation) -> None:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _degrade(
-    branches: Branches, ends: Any, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any
+    branches: Branches,
+    ends: Any,
+    prior: dict[str, Any],
+    key: jax.Array,
+    images: jax.Array,
+    start: Any,
+    extents: Any,
 ) -> Degraded:
     drawing, _ = sample_halves(key, start, len(images))
     choosing = jax.vmap(jax.random.fold_in, in_axes=(0, None))(drawing, LAST_INDEX)  # no parameter's name
@@ -261,7 +278,7 @@ def _degrade(
     for i, (name, chain) in enumerate(branches):
         sample = functools.partial(draw, prior=prior[name], like=chain.init())
         params[name] = jax.tree.map(functools.partial(_where, which == i), store(jax.vmap(sample)(drawing)))
-    return _repeat(branches, key, params, images, start), images, params
+    return _repeat(branches, key, params, images, start, extents), images, params
 
 
 def _where(own: jax.Array, values: jax.Array) -> jax.Array:
@@ -270,16 +287,25 @@ def _where(own: jax.Array, values: jax.Array) -> jax.Array:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _repeat(
-    branches: Branches, key: jax.Array, params: dict[str, Any], images: jax.Array, start: Any
+    branches: Branches,
+    key: jax.Array,
+    params: dict[str, Any],
+    images: jax.Array,
+    start: Any,
+    extents: Any = None,
 ) -> jax.Array:
     _, noise = sample_halves(key, start, len(images))
-    return _by_branch(branches, params, images, noise)
+    return _by_branch(branches, params, images, noise, extents)
 
 
-def _by_branch(branches: Branches, params: dict[str, Any], images: jax.Array, keys: jax.Array) -> jax.Array:
+def _by_branch(
+    branches: Branches, params: dict[str, Any], images: jax.Array, keys: jax.Array, extents: Any = None
+) -> jax.Array:
     """Each image by its own branch: groups of images of one branch, one after another."""
     mesh = spread_over(images)
     if mesh is not None:
+        if extents is not None:
+            raise TypeError("pictures in larger frames are not spread over devices")
         axes = jax.tree.map(lambda _: 0, params)
         return spread(mesh, functools.partial(_by_branch, branches), axes, params, images, keys)
     count = len(images)
@@ -299,16 +325,18 @@ def _by_branch(branches: Branches, params: dict[str, Any], images: jax.Array, ke
         own = jnp.minimum(branch, len(branches) - 1)
         at = (group - first_group[own]) * size + jnp.arange(size)
         rows = order[jnp.clip(first[own] + jnp.where(at < counts[own], at, 0), 0, count - 1)]
-        taken_rows = jax.tree.map(lambda v: v[rows], (params, images, keys))
+        taken_rows = jax.tree.map(lambda v: v[rows], (params, images, keys, extents))
         return lax.switch(branch, runs, *alike(taken_rows))
 
     runs: list[Callable[..., jax.Array]] = [functools.partial(_run, name, chain) for name, chain in branches]
-    runs.append(lambda params, images, keys: images)
+    runs.append(lambda params, images, keys, extents: images)
     groups = (count + len(branches) * (size - 1)) // size
     done = lax.map(run, jnp.arange(groups)).reshape(-1, *images.shape[1:])
     place = jnp.argsort(order) - first[which]  # among the images of its branch
     return done[first_group[which] * size + place]
 
 
-def _run(name: str, chain: Chain, params: dict[str, Any], images: jax.Array, keys: jax.Array) -> jax.Array:
-    return alike(over_batch(chain, params[name], images, keys), images)
+def _run(
+    name: str, chain: Chain, params: dict[str, Any], images: jax.Array, keys: jax.Array, extents: Any
+) -> jax.Array:
+    return alike(over_batch(chain, params[name], images, keys, extents), images)

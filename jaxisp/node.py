@@ -13,6 +13,7 @@ from jax import lax
 
 from jaxisp import shown
 from jaxisp.arrays.dtypes import given_and_exact, in_dtype
+from jaxisp.arrays.extents import Extent, mirrored
 from jaxisp.arrays.varying import alike
 from jaxisp.checks import check_key, check_known
 from jaxisp.domains import Domain
@@ -65,7 +66,9 @@ class Node:
         """Default parameters by stage name."""
         raise NotImplementedError
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         raise NotImplementedError
 
     @property
@@ -77,6 +80,12 @@ class Node:
         """How far from a pixel the result depends on the image [px], as its stages were registered; None
         where it may depend on the whole frame, or on a pixel's position."""
         raise NotImplementedError
+
+    @property
+    def margin(self) -> int | None:
+        """How many rows, or columns, a frame needs beyond a picture that does not fill them [px], so that the
+        picture comes out as it would alone; None where it does not, in whatever frame."""
+        return None
 
     @property
     def block(self) -> int:
@@ -94,20 +103,33 @@ class Node:
     def _repr_html_(self) -> str:
         return shown.node_html(self)
 
-    def __call__(self, params: Params, image: jax.Array, *, key: jax.Array | None = None) -> jax.Array:
+    def __call__(
+        self,
+        params: Params,
+        image: jax.Array,
+        *,
+        key: jax.Array | None = None,
+        extent: Extent | None = None,
+    ) -> jax.Array:
         """Run on one image. `params` may hold entries of stages that are not here.
+
+        With an extent the image is the top left of a frame, and the rest of the result has no meaning. The
+        frame has to be larger by `margin`, or as large, along each axis.
 
         Raises:
             InputError: a parameter is NaN or out of its bounds; of traced ones nothing is known.
-            TypeError: a key is missing, or parameters or image are of another kind.
+            TypeError: a key is missing, or parameters or image are of another kind; or a stage's result would
+                depend on the frame.
         """
+        if extent is not None and self.margin is None:
+            raise TypeError(f"{self.name} depends on the size of its frame: give the picture alone")
         if self.stochastic and key is None:
             raise TypeError(f"{self.name} draws noise: pass key=jax.random.key(seed)")
         if key is not None:
             check_key(self.name, key)
         self.check(params)
         # a stage's branches and loops need them alike
-        return self.apply(*alike((params, image, key)))
+        return self.apply(*alike((params, image, key, extent)))
 
 
 def require_node(node: Any, what: str) -> None:
@@ -204,6 +226,12 @@ class Stage(Node):
         known = locality(self.fn).block
         return known(self.options) if callable(known) else known
 
+    @property
+    def margin(self) -> int | None:
+        if signature(self.fn).sized:
+            return 0
+        return self.reach if locality(self.fn).symmetric or not self.reach else None
+
     def stages(self) -> Iterator["Stage"]:
         yield self
 
@@ -214,10 +242,16 @@ class Stage(Node):
         cls = signature(self.fn).params
         return {} if cls is None else {self.name: cls()}
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         declared = signature(self.fn)
         self._check_image(image)
         arguments: dict[str, Any] = dict(self.static)
+        if declared.sized:
+            arguments["extent"] = extent
+        elif extent is not None and self.reach:
+            image = mirrored(image, extent)
         if declared.stochastic:
             assert key is not None, "__call__ has checked it"
             arguments["key"] = jax.random.fold_in(key, zlib.crc32(self.name.encode()) & 0x7FFFFFFF)

@@ -6,8 +6,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.extents import Extent, mirrored
 from jaxisp.node import Around, Node, Params, entry, require_node
 from jaxisp.params import Leaf, param, parameters
+
+_BORDER = (1, 2)  # px before and after
 
 
 @parameters
@@ -48,16 +51,25 @@ class AnyPhase(Around):
     def reach(self) -> int | None:
         return None  # where a strip begins is another phase
 
+    @property
+    def margin(self) -> int | None:
+        inner = self.node.margin
+        return None if inner is None else max(inner, _BORDER[1])
+
     def init(self) -> Params:
         return {self.name: CfaPhase(), **self.node.init()}
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         phase = entry(params, self.name, CfaPhase)
         row, column = (jnp.asarray(v > 0.5, jnp.int32) for v in (phase.row, phase.column))
         height, width, channels = image.shape
         none = jnp.zeros((), jnp.int32)
         # an even size, as the picture's own mostly is
-        padded = jnp.pad(image, ((1, 2), (1, 2), (0, 0)), mode="reflect")
+        if extent is not None:
+            image, extent = mirrored(image, extent), extent.grown(2)
+        padded = jnp.pad(image, (_BORDER, _BORDER, (0, 0)), mode="reflect")
         moved = lax.dynamic_slice(padded, (1 - row, 1 - column, none), (height + 2, width + 2, channels))
-        out = self.node.apply(params, moved, key)
+        out = self.node.apply(params, moved, key, extent)
         return lax.dynamic_slice(out, (row, column, none), image.shape)

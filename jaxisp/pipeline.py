@@ -20,6 +20,8 @@ from jax.typing import ArrayLike
 from jaxisp import edits
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.batches import group_size, in_groups
+from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.strips import ROWS, in_strips, in_strips_on_cpu
 from jaxisp.arrays.varying import spread_over, varying
 from jaxisp.checks import check_count, check_key, check_scale, check_start
@@ -71,6 +73,11 @@ class Row(Node):
         each = [node.reach for node in self.nodes]
         return None if None in each else sum(filter(None, each))
 
+    @property
+    def margin(self) -> int | None:
+        each = [node.margin for node in self.nodes]
+        return None if None in each else max(filter(None, each), default=0)
+
     def names(self) -> Iterator[str]:
         for node in self.nodes:
             yield from node.names()
@@ -115,12 +122,14 @@ class Chain(Row):
     def domain_out(self) -> Domain:
         return self._domains[1]
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         for group in _groups(self.nodes):
             part = functools.partial(_in_turn, group.nodes, stored=group.nodes[0] is self.nodes[0])
             reach = group.reach
-            if not reach:
-                image = part(image, params, key)
+            if not reach or extent is not None:  # a strip would not know which rows it has
+                image = part(image, params, key, extent)
             else:
                 own = {name: params[name] for name in group.init() if name in params}
                 image = in_strips_on_cpu(part, image, reach, (own,), unit=group.block)
@@ -194,13 +203,19 @@ class Gate(Around):
     def reach(self) -> int | None:
         return self.node.reach
 
+    @property
+    def margin(self) -> int | None:
+        return self.node.margin
+
     def init(self) -> Params:
         return {self.name: Switch(), **self.node.init()}
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         # not jnp.where: a dead branch would leak NaN gradients
         on = entry(params, self.name, Switch).on > 0.5
-        return lax.cond(on, lambda x: self.node.apply(params, x, key), lambda x: x, image)
+        return lax.cond(on, lambda x: self.node.apply(params, x, key, extent), lambda x: x, image)
 
 
 @parameters
@@ -247,11 +262,13 @@ class Shuffle(Row):
         order = Order(priority=np.linspace(0, 1, len(self.nodes), dtype=np.float32))
         return {self.name: order, **super().init()}
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         priority = entry(params, self.name, Order).priority
         if priority.shape != (len(self.nodes),):
             raise TypeError(f"{self.name!r} orders {len(self.nodes)} nodes, got priorities {priority.shape}")
-        branches = [functools.partial(node.apply, params, key=key) for node in self.nodes]
+        branches = [functools.partial(node.apply, params, key=key, extent=extent) for node in self.nodes]
 
         def step(x: jax.Array, which: jax.Array) -> tuple[jax.Array, None]:
             return lax.switch(which, branches, x), None
@@ -272,11 +289,17 @@ def _groups(nodes: Iterable[Node]) -> Iterator[Row]:
 
 
 def _in_turn(
-    nodes: tuple[Node, ...], image: jax.Array, params: Params, key: jax.Array | None = None, *, stored: bool
+    nodes: tuple[Node, ...],
+    image: jax.Array,
+    params: Params,
+    key: jax.Array | None = None,
+    extent: Extent | None = None,
+    *,
+    stored: bool,
 ) -> jax.Array:
     for i, node in enumerate(nodes):
         # without this XLA's CPU backend recomputes one stencil inside the next
-        image = node.apply(params, image if stored and not i else _stored(image), key)
+        image = node.apply(params, image if stored and not i else _stored(image), key, extent)
     return image
 
 
@@ -470,9 +493,12 @@ def compiled_batch(
     return over_batch(node, params, images, keys)
 
 
-def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | None) -> jax.Array:
+def over_batch(
+    node: Node, params: Params, images: jax.Array, keys: jax.Array | None, extents: Extent | None = None
+) -> jax.Array:
     """A node on each image of a batch, with a key each; parameters as in `run_batch`.
 
+    With extents, (N,) each, the images are the top left of frames, as in `Node.__call__`.
     Where switches or orders are per image, a CPU takes the images one by one: as a batch, each would
     run every branch.
     """
@@ -481,35 +507,39 @@ def over_batch(node: Node, params: Params, images: jax.Array, keys: jax.Array | 
     axes = batch_axes(params)
     mesh = spread_over(images)
     if mesh is not None:
+        if extents is not None:
+            raise TypeError(f"{node.name}: pictures in larger frames are not spread over devices")
         return spread(mesh, functools.partial(over_batch, node), axes, params, images, keys)
 
-    def one(params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
-        return node(params, image, key=key)
+    def one(params: Params, image: jax.Array, of_image: tuple[Any, Any]) -> jax.Array:
+        key, extent = of_image
+        return node(params, image, key=key, extent=extent)
 
     def together(*batch: Any) -> jax.Array:
-        return jax.vmap(one, in_axes=(axes, 0, None if keys is None else 0))(*batch)
+        return jax.vmap(one, in_axes=(axes, 0, 0))(*batch)
 
-    def in_turn(params: Params, images: jax.Array, keys: jax.Array | None) -> jax.Array:
+    def in_turn(params: Params, images: jax.Array, of_images: Any) -> jax.Array:
         def at(i: jax.Array) -> jax.Array:
             own = jax.tree.map(
                 lambda axis, v: v if axis is None else v[i], axes, params, is_leaf=lambda axis: axis is None
             )
-            return one(own, images[i], None if keys is None else keys[i])
+            return one(own, images[i], jax.tree.map(lambda v: v[i], of_images))
 
         return lax.map(at, jnp.arange(len(images)))
 
+    of_images = keys, extents
     switched = any(
         isinstance(own, Switch | Order) and 0 in jax.tree.leaves(axes[name]) for name, own in params.items()
     )
     if not switched or not len(images):
         size = group_size(len(images), images.shape[1] * images.shape[2], sum(1 for _ in node.stages()))
         if size < len(images) and jax.default_backend() == "cpu":
-            return in_groups(together, size, axes, params, images, keys)
-        return together(params, images, keys)
+            return in_groups(together, size, axes, params, images, of_images)
+        return together(params, images, of_images)
     if varying((params, images, keys)):
         # under vmap jax 0.10 lets a branch's constants vary as the switch does, and then refuses them
-        return in_turn(params, images, keys)
-    return lax.platform_dependent(params, images, keys, cpu=in_turn, default=together)
+        return in_turn(params, images, of_images)
+    return by_platform(params, images, of_images, cpu=in_turn, default=together)
 
 
 def spread(

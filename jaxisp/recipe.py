@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 
 from jaxisp import shown
 from jaxisp.arrays.barriers import store
+from jaxisp.arrays.extents import LEAST, Extent, has_room
 from jaxisp.checks import check_count, check_key, check_start
 from jaxisp.domains import CAMERA, ENCODED, LINEAR, PROPHOTO, XYZ_D65, Domain, accepts
 from jaxisp.edits import by_stage, same
@@ -24,6 +25,7 @@ from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signatu
 from jaxisp.priors import check_prior, draw, is_traced
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
+from jaxisp.stages.draws import by_index
 
 Degraded = tuple[jax.Array, jax.Array, dict[str, Any]]
 
@@ -93,6 +95,11 @@ class Recipe:
     @property
     def name(self) -> str:
         return self.chain.name
+
+    @property
+    def margin(self) -> int | None:
+        """`Chain.margin`: how much larger than pictures of several sizes their images are, see `degrade`."""
+        return self.chain.margin
 
     @functools.cached_property
     def _text(self) -> str:
@@ -211,7 +218,9 @@ class Recipe:
         check_key(f"recipe {self.name!r}", key)
         return draw(key, self.prior, self.chain.init())
 
-    def degrade(self, key: jax.Array, images: ArrayLike, start: Any = 0) -> Degraded:
+    def degrade(
+        self, key: jax.Array, images: ArrayLike, start: Any = 0, sizes: ArrayLike | None = None
+    ) -> Degraded:
         """Degrade a batch on the device, with one draw of the parameters an image.
 
         Image i depends on the key and on its index, start + i, alone: the same bits at any batch size
@@ -221,6 +230,9 @@ class Recipe:
             key: a JAX key, as `jax.random.key(0)`.
             images: (N, H, W, 3) floats, encoded sRGB in [0, 1]; taken as float32.
             start: the global index of the first image, or (N,) indices; from 0 to 2**31 - 1.
+            sizes: (N, 2) rows and columns, where pictures of several sizes are the top left of their images,
+                which are larger by `margin`, or as large, along each axis. A picture comes out as it
+                would alone, to the bit; what is around it has no meaning.
 
         Returns:
             noisy (N, H, W, 3) float32 encoded sRGB, clean (the images), and the drawn parameters,
@@ -228,13 +240,17 @@ class Recipe:
 
         Raises:
             TypeError: images are not (N, H, W, 3) floats, or the key is none.
+            InputError: no such sizes, or a stage's result depends on the frame; or the key is not Threefry's.
             ValueError: images hold NaN or are outside [0, 1] by more than 0.25, as levels of 0 to 255, 0 to 2
                 or -1 to 1 are (not known of traced ones; linear light may reach 4); they have no pixels; or
                 there is no such index.
         """
         check_backend()
-        given = taken(f"recipe {self.name!r}", key, images, start, self.chain.domain_in)
-        return _degrade(self.chain, strong(self.prior), *given)
+        who = f"recipe {self.name!r}"
+        given = taken(who, key, images, start, self.chain.domain_in)
+        return _degrade(
+            self.chain, strong(self.prior), *given, extents_of(who, (self.chain,), sizes, *given[:2])
+        )
 
     def repeat(self, key: jax.Array, params: dict[str, Any], images: ArrayLike, start: Any = 0) -> jax.Array:
         """Degrade again with parameters drawn before: the same bits for the same key and start.
@@ -316,6 +332,31 @@ def taken(
     check_key(who, key)
     check_levels(images, who, domain)
     return key, jnp.asarray(images, jnp.float32), check_start(start, shape[0])
+
+
+def extents_of(
+    who: str, chains: Sequence[Chain], sizes: ArrayLike | None, key: jax.Array, images: jax.Array
+) -> Extent | None:
+    """The sizes of pictures in larger images as they are computed with. Raises InputError."""
+    if sizes is None:
+        return None
+    margins = {node.name: node.margin for chain in chains for node in chain.nodes}
+    if alone := [name for name, margin in margins.items() if margin is None]:
+        told = ", ".join(alone)
+        raise InputError(f"{who}: what {told} gives depends on the size of the image: leave sizes out")
+    margin = max(filter(None, margins.values()), default=0)
+    if not by_index(key):
+        raise InputError(f"{who}: noise of pictures in larger images needs a key of Threefry")
+    given, frame = np.asarray(sizes), (images.shape[1], images.shape[2])
+    if given.shape != (len(images), 2) or not np.issubdtype(given.dtype, np.integer):
+        raise InputError(f"{who}: sizes are ({len(images)}, 2) rows and columns, got {short(given)}")
+    for height, width in np.unique(given, axis=0).tolist():
+        if not has_room((height, width), frame, margin):
+            raise InputError(
+                f"{who}: a picture of {height} x {width} px in an image of {frame[0]} x {frame[1]}: a side "
+                f"is the same or {margin} px less, and at least {LEAST}"
+            )
+    return Extent(*(jnp.asarray(sides, jnp.int32) for sides in given.T))
 
 
 def check_levels(images: ArrayLike, who: str, domain: Domain = ENCODED) -> None:
@@ -422,19 +463,23 @@ def sample_halves(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, ja
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _degrade(chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any) -> Degraded:
+def _degrade(
+    chain: Chain, prior: dict[str, Any], key: jax.Array, images: jax.Array, start: Any, extents: Any = None
+) -> Degraded:
     drawing, _ = sample_halves(key, start, len(images))
     # stored, or what is drawn would be computed, and rounded, within what uses it
     like = chain.init()
     params = store(jax.vmap(lambda own: draw(own, prior, like))(drawing))
     # the images leave as a copy: what was given may be overwritten or donated
-    return _repeat(chain, key, params, images, start), images, params
+    return _repeat(chain, key, params, images, start, extents), images, params
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _repeat(chain: Chain, key: jax.Array, params: Any, images: jax.Array, start: Any) -> jax.Array:
+def _repeat(
+    chain: Chain, key: jax.Array, params: Any, images: jax.Array, start: Any, extents: Extent | None = None
+) -> jax.Array:
     _, noise = sample_halves(key, start, len(images))
-    return over_batch(chain, params, images, noise)
+    return over_batch(chain, params, images, noise, extents)
 
 
 def _flatten(recipe: Recipe) -> tuple[tuple[Any, ...], Any]:

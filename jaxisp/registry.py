@@ -1,8 +1,8 @@
 """What a stage function declares by its signature, and the registry of stages.
 
-A stage is a pure function on ONE image, `fn([params,] image, *, [key,] **static) -> image`: `params` is
-annotated with its class, `image` and the return with a domain, `key` makes it stochastic, other
-keyword-only arguments are static options.
+A stage is a pure function on ONE image, `fn([params,] image, *, [key,] [extent,] **static) -> image`:
+`params` is annotated with its class, `image` and the return with a domain, `key` makes it stochastic, with an
+`extent` the picture may be a part of the image, other keyword-only arguments are static options.
 """
 
 import functools
@@ -24,6 +24,8 @@ StageFunction = Callable[..., jax.Array]
 Reach = int | None | Callable[[Mapping[str, Any]], int | None]
 """Pixels, or a function of the static options that gives them; None: the whole frame, or not known."""
 
+_OWN = ("key", "extent")  # keyword arguments that are no options
+
 REGISTRY: dict[str, StageFunction] = {}
 """Registered stage functions by name. `find_stage` sees to it that the package's own are there."""
 
@@ -42,6 +44,7 @@ class Locality:
 
     reach: Reach = None
     block: Block = CELL
+    symmetric: bool = False
 
 
 _LOCALITY: WeakKeyDictionary[StageFunction, Locality] = WeakKeyDictionary()
@@ -50,8 +53,17 @@ _LOCALITY: WeakKeyDictionary[StageFunction, Locality] = WeakKeyDictionary()
 @overload
 def register(fn: StageFunction, /) -> StageFunction: ...
 @overload
-def register(*, reach: Reach = None, block: Block = CELL) -> Callable[[StageFunction], StageFunction]: ...
-def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: Block = CELL) -> Any:
+def register(
+    *, reach: Reach = None, block: Block = CELL, symmetric: bool = False
+) -> Callable[[StageFunction], StageFunction]: ...
+def register(
+    fn: StageFunction | None = None,
+    /,
+    *,
+    reach: Reach = None,
+    block: Block = CELL,
+    symmetric: bool = False,
+) -> Any:
     """Add a stage function to `REGISTRY` under its name, checking its signature; return it unchanged.
 
     A registered stage can be named in TOML, is listed by `jaxisp stages`, and gets every contract
@@ -67,6 +79,9 @@ def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: 
         block: rows of the blocks it works in, counted from the top: 2 for a Bayer mosaic's cells, 6 for those
             of X-Trans; or a function of the static options. A stage of larger blocks, as an encoder, runs in
             strips of its own.
+        symmetric: True where a mirror image comes out as the mirror image of the result, to the bit: no sum
+            in any pass but the first depends on its order. Pictures of many sizes then share a program, see
+            `Node.margin`; so they do where the reach is 0, and where the stage takes an `extent`.
 
     Raises:
         TypeError: it is no stage function, or one that draws noise has a reach.
@@ -82,8 +97,8 @@ def register(fn: StageFunction | None = None, /, *, reach: Reach = None, block: 
         True
     """
     if fn is None:
-        return functools.partial(_register, locality=Locality(reach, block))
-    return _register(fn, Locality(reach, block))
+        return functools.partial(_register, locality=Locality(reach, block, symmetric))
+    return _register(fn, Locality(reach, block, symmetric))
 
 
 def _register(fn: StageFunction, locality: Locality) -> StageFunction:
@@ -130,6 +145,8 @@ class Signature:
 
     params: type | None
     stochastic: bool
+    sized: bool
+    """Whether it takes an `Extent`."""
     static: tuple[tuple[str, Hashable], ...]
     hints: Mapping[str, Any]
     """Annotations of the static options."""
@@ -143,7 +160,7 @@ def signature(fn: StageFunction) -> Signature:
     hints = typing.get_type_hints(fn, include_extras=True)
     arguments = inspect.signature(fn).parameters
     positional = [n for n, a in arguments.items() if a.kind is not a.KEYWORD_ONLY]
-    static = {n: a.default for n, a in arguments.items() if a.kind is a.KEYWORD_ONLY and n != "key"}
+    static = {n: a.default for n, a in arguments.items() if a.kind is a.KEYWORD_ONLY and n not in _OWN}
     if positional not in (["image"], ["params", "image"]):
         raise TypeError(f"{fn.__name__}: positional arguments must be ([params,] image), got {positional}")
     for name, default in static.items():
@@ -158,7 +175,13 @@ def signature(fn: StageFunction) -> Signature:
         ) from None
     limits = {name: hints[name] for name in static if name in hints}
     return Signature(
-        hints.get("params"), "key" in arguments, tuple(static.items()), limits, domain_in, domain_out
+        hints.get("params"),
+        "key" in arguments,
+        "extent" in arguments,
+        tuple(static.items()),
+        limits,
+        domain_in,
+        domain_out,
     )
 
 

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.checks import several
 from jaxisp.node import Stage, stage
 from jaxisp.params import map_specs, specs
@@ -271,6 +272,26 @@ def _batch_agrees(subject: Subject) -> None:
         np.testing.assert_allclose(batch[i], jitted, atol=2e-5, rtol=2e-5)
 
 
+def _frame_agrees(subject: Subject) -> None:
+    """Where a margin is declared, a picture comes out of larger frames as it does alone, to the bit."""
+    node, key, margin = subject.node, jax.random.key(0), subject.node.margin
+    if margin is None or (node.reach == 0 and not node.stochastic):
+        return
+
+    @jax.jit
+    def framed(params: Any, frame: jax.Array, extent: Extent) -> jax.Array:
+        return node(params, frame, key=key, extent=extent)
+
+    height, width = subject.size
+    for seed, (rows, columns) in enumerate([subject.size, (height - 1, width), (height - 4, width - 5)]):
+        image, params = subject.image(seed)[:rows, :columns], subject.params(seed=seed)
+        around = [(0, height + margin - rows), (0, width + margin - columns), (0, 0)][: image.ndim]
+        frame = np.pad(image, around, constant_values=0.7)
+        out = framed(params, frame, Extent(jnp.int32(rows), jnp.int32(columns)))[:rows, :columns]
+        same = np.asarray(out).tobytes() == np.asarray(run(node, params, image, key)).tobytes()
+        _require(same, f"{node.name}: {rows} x {columns} px come out otherwise of a larger frame")
+
+
 def _plain_call_agrees(subject: Subject) -> None:
     """The compiled stage agrees with a plain call, which compiles each operation by itself."""
     params, image, key = subject.params(), jnp.asarray(subject.image()), jax.random.key(0)
@@ -311,6 +332,7 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "gradient_is_exact": _gradient_is_exact,
     "numeric_modes": _numeric_modes,
     "batch_agrees": _batch_agrees,
+    "frame_agrees": _frame_agrees,
     "plain_call_agrees": _plain_call_agrees,
     "no_retrace": _no_retrace,
     "wrong_shapes_are_refused": _wrong_shapes_are_refused,

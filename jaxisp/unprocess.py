@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp import cfa as filters
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip
 from jaxisp.color import apply_matrix
@@ -87,22 +88,28 @@ class Unprocessed(Around):
     def reach(self) -> int | None:
         return None  # gains go by the place in the cell, which a strip would shift
 
+    @property
+    def margin(self) -> int | None:
+        return self.node.margin
+
     def init(self) -> Params:
         return {self.name: CameraColors(), **self.node.init()}
 
-    def apply(self, params: Params, image: jax.Array, key: jax.Array | None) -> jax.Array:
+    def apply(
+        self, params: Params, image: jax.Array, key: jax.Array | None, extent: Extent | None = None
+    ) -> jax.Array:
         colors = entry(params, self.name, CameraColors)
         matrix = camera_matrix(colors.weights)
         gains = jnp.stack([1 / colors.red, jnp.ones_like(colors.red), 1 / colors.blue]) * colors.dimming
         raw, developed = self._split
         seen = clip(_dimmed(apply_matrix(matrix, image), gains.astype(image.dtype), self.preserve), 0, 1)
         for node in raw:
-            seen = node.apply(params, seen, key)
+            seen = node.apply(params, seen, key, extent)
         assert isinstance(developed[0], Stage)
         masks = filters.masks((seen.shape[0], seen.shape[1]), str(developed[0].options["cfa"]))
         seen = clip(seen * filters.select(masks, *(1 / gains).astype(seen.dtype)), 0, 1)
         for node in developed:
-            seen = node.apply(params, seen, key)
+            seen = node.apply(params, seen, key, extent)
         return apply_matrix(jnp.linalg.inv(matrix), seen)
 
 

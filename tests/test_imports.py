@@ -21,7 +21,7 @@ LAYERS = [
     {"serialize"},
     {"recipe"},
     {"mixture", "published"},
-    {"recipes", "camera", "encoder", "report"},
+    {"recipes", "camera", "encoder", "report", "frames"},
     {"calibrate"},
     {"catalogue", "explore", "generate", "fit", "data", "models"},
     {"interop"},

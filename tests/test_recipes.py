@@ -9,10 +9,11 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxisp.checks import LAST_INDEX
 from jaxisp.domains import LINEAR, EncodedRGB
 from jaxisp.errors import InputError
+from jaxisp.phase import AnyPhase, CfaPhase
 from jaxisp.pipeline import Chain, Gate, Order, Shuffle, Switch, run, stage
 from jaxisp.priors import Bernoulli, Uniform
 from jaxisp.recipe import Recipe, _degrade, check_levels, check_photographs, check_traces
-from jaxisp.recipes import RECIPES, find_recipe
+from jaxisp.recipes import RECIPES, find_recipe, mix
 from jaxisp.stages.detail import UnsharpMask
 from jaxisp.testing import smooth_image
 
@@ -352,3 +353,69 @@ def test_clean_pictures_are_the_callers_no_more():
     images = jnp.full(shape, 0.5)
     recipe.degrade(KEY, images)[1].delete()
     np.testing.assert_array_equal(images, 0.5)
+
+
+def in_frames(recipe, pictures, frame):
+    """A batch of pictures of several sizes at the top left of one frame, as `degrade` takes it."""
+    images = np.full((len(pictures), *frame, 3), 0.3, np.float32)
+    for own, picture in zip(images, pictures):
+        own[: picture.shape[0], : picture.shape[1]] = picture
+    return recipe.degrade(jax.random.key(5), images, 0, [p.shape[:2] for p in pictures])
+
+
+SENSOR = (
+    stage("mosaic", cfa="GRBG"), stage("shot_read_noise"), stage("demosaic_hibbard", cfa="GRBG"),
+    stage("unsharp_mask", radius=2),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("nodes", "margin"),
+    [
+        ((stage("gaussian_noise"), stage("rounding")), 0),
+        ((AnyPhase(Chain(SENSOR[:3], "sensor")), Gate(stage("median")), SENSOR[3]), 2),
+    ],
+    ids=["noise", "sensor"],
+)
+def test_a_picture_comes_out_of_a_larger_frame_as_alone(nodes, margin):
+    recipe = Recipe(Chain(nodes, "mine"), {"cfa_phase": CfaPhase(row=Bernoulli(0.5))} if margin else {})
+    assert recipe.chain.margin == margin
+    sizes = [(14, 21), (21, 14), (5, 19)]
+    pictures = [smooth_image((*size, 3), i).astype(np.float32) for i, size in enumerate(sizes)]
+    noisy, _, params = in_frames(recipe, pictures, (21 + margin, 21 + margin))
+    for i, picture in enumerate(pictures):
+        alone, _, own = recipe.degrade(jax.random.key(5), picture[None], i)
+        np.testing.assert_array_equal(noisy[i, : picture.shape[0], : picture.shape[1]], alone[0])
+        jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[0]), params, own)
+
+
+def test_a_mixture_of_such_recipes_takes_frames_too():
+    mixture = mix({"awgn": 0.5, "clean": 0.5})
+    pictures = [smooth_image((9 + i, 14, 3), i).astype(np.float32) for i in range(3)]
+    noisy = in_frames(mixture, pictures, (12, 14))[0]
+    assert mixture.margin == 0 and mix({"awgn": 0.5, "phone": 0.5}).margin is None
+    for i, picture in enumerate(pictures):
+        alone, _, _ = mixture.degrade(jax.random.key(5), picture[None], i)
+        np.testing.assert_array_equal(noisy[i, : len(picture)], alone[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "told"),
+    [
+        ("phone", [[16, 20]], "what bilateral gives depends on the size of the image"),
+        ("phone-kodak", [[15, 20]], "a side is the same or 2 px less, and at least 5"),
+        ("phone-kodak", [[4, 20]], "at least 5"),
+        ("phone-kodak", [[17, 20]], "17 x 20 px in an image of 16 x 20"),
+        ("awgn", [16, 20], r"sizes are \(1, 2\) rows and columns"),
+        ("awgn", [[16.0, 20.0]], r"sizes are \(1, 2\) rows and columns"),
+    ],
+)
+def test_sizes_without_room_are_refused(name, sizes, told):
+    with pytest.raises(InputError, match=told):
+        RECIPES[name]().degrade(jax.random.key(0), np.full((1, 16, 20, 3), 0.5, np.float32), 0, sizes)
+
+
+def test_noise_of_other_keys_depends_on_the_frame():
+    with pytest.raises(InputError, match="needs a key of Threefry"):
+        images = np.full((1, 16, 20, 3), 0.5, np.float32)
+        RECIPES["awgn"]().degrade(jax.random.key(0, impl="rbg"), images, 0, [[9, 20]])

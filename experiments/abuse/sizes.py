@@ -2,8 +2,8 @@
 
     JAXISP_CACHE=off python -m experiments.abuse.sizes --recipe awgn --count 1000
 
-Each size from 32 x 32 to 96 x 96 px comes once, in random order, and is a program of its own. A line after
-every tenth picture: the pictures, the process's memory, the programs that were compiled, seconds of the
+Each size from 32 x 32 to 96 x 96 px comes once, in random order. A line after every tenth picture: the
+pictures, the process's memory, the programs that were compiled, of the recipe and in all, seconds of the
 processor.
 """
 
@@ -44,7 +44,8 @@ def main() -> None:
         def tick(done: int, total: int) -> None:
             if done in (8, total) or done % 10 == 0:
                 cpu = time.process_time()
-                print(f"{done} {held():.0f} MB {len(programs)} programs {cpu:.0f} s", flush=True)
+                own = sum(program.name == "_degrade" for program in programs)
+                print(f"{done} {held():.0f} MB {own} of {len(programs)} programs {cpu:.0f} s", flush=True)
 
         degrade_files([inputs], Path(folder, "out"), RECIPES[arguments.recipe](), tick=tick)
 

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.platforms import by_platform
+
 
 def materialize(x: Any) -> Any:
     """Make the CPU backend store `x` before it goes on; the identity elsewhere and to gradients.
@@ -13,7 +15,7 @@ def materialize(x: Any) -> Any:
     Fused across stages, XLA's CPU code recomputes one stencil inside the next. It drops a plain
     `optimization_barrier` between fusions; a branch on an opaque predicate survives, also under vmap.
     """
-    return lax.platform_dependent(x, cpu=_branch, default=lambda v: v)
+    return by_platform(x, cpu=_branch, default=lambda v: v)
 
 
 def store_off_cpu(x: Any) -> Any:
@@ -22,12 +24,12 @@ def store_off_cpu(x: Any) -> Any:
     XLA's GPU code splits a stencil that is too large for one kernel at a place of its own, and stores every
     tap there; and it too computes one stencil anew for the taps of the next.
     """
-    return lax.platform_dependent(x, cpu=lambda v: v, default=_barrier)
+    return by_platform(x, cpu=lambda v: v, default=_barrier)
 
 
 def store(x: Any) -> Any:
     """Make every backend store `x`: `materialize` on a CPU, `store_off_cpu` elsewhere."""
-    return lax.platform_dependent(x, cpu=_branch, default=_barrier)
+    return by_platform(x, cpu=_branch, default=_barrier)
 
 
 def _branch(value: Any) -> Any:
@@ -42,7 +44,7 @@ def _barrier(tree: Any) -> Any:
 
 def barrier_on_cpu(tree: Any) -> Any:
     """Keep a CPU's compiler from moving what comes before into what comes after; it may fuse them yet."""
-    return lax.platform_dependent(tree, cpu=_barrier, default=lambda v: v)
+    return by_platform(tree, cpu=_barrier, default=lambda v: v)
 
 
 def on_all_cores(index: jax.Array) -> jax.Array:
@@ -51,4 +53,4 @@ def on_all_cores(index: jax.Array) -> jax.Array:
     From 0.11 on, jaxlib runs a loop on one of a CPU's cores if it takes it for small, and its count of bytes
     leaves out what is inside branches, where `materialize` puts the work. A loop that sorts is left as it is.
     """
-    return lax.platform_dependent(index, cpu=lambda i: lax.sort(jnp.stack([i, i]))[0], default=lambda i: i)
+    return by_platform(index, cpu=lambda i: lax.sort(jnp.stack([i, i]))[0], default=lambda i: i)

@@ -16,6 +16,7 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from jaxisp.arrays.dtypes import given_and_exact
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.rows import elementwise
 from jaxisp.arrays.varying import alike
 
@@ -195,7 +196,7 @@ def sums(fn: Callable[..., tuple[jax.Array, ...]], *images: jax.Array) -> tuple[
     def at_once(*images: jax.Array) -> tuple[jax.Array, ...]:
         return tuple(v.sum(0) for v in fn(*images))
 
-    return lax.platform_dependent(*alike(images), cpu=row_by_row, default=at_once)
+    return by_platform(*alike(images), cpu=row_by_row, default=at_once)
 
 
 def scaled(scalar: jax.Array, image: jax.Array) -> jax.Array:

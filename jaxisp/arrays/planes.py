@@ -10,6 +10,7 @@ from jax import lax
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.platforms import by_platform
 
 
 def planes(image: jax.Array) -> tuple[jax.Array, ...]:
@@ -28,7 +29,7 @@ def interleaved(channels: Sequence[jax.Array]) -> jax.Array:
     """
 
     def joined(_: None, channels: tuple[jax.Array, ...]) -> jax.Array:
-        return lax.platform_dependent(
+        return by_platform(
             channels, cpu=lambda c: materialize(_selected(c)), default=lambda c: jnp.stack(c, axis=-1)
         )
 

@@ -16,6 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.arrays.barriers import barrier_on_cpu, materialize, store
 from jaxisp.arrays.linear import inner_product, linear_call, total
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import safe_divide
 from jaxisp.arrays.varying import alike
 
@@ -161,7 +162,7 @@ def _filter(image: jax.Array, taps: jax.Array, axis: int, mode: str) -> jax.Arra
         return _weighted(_at_places(lax.optimization_barrier(image), (r, r), axis, mode), taps, axis)
 
     default = looked_up if axis == 0 and mode != "constant" else from_padded
-    return lax.platform_dependent(image, taps, cpu=from_padded, default=default)
+    return by_platform(image, taps, cpu=from_padded, default=default)
 
 
 def _filter_jvp(axis: int, mode: str, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:

@@ -11,6 +11,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.arrays.barriers import materialize, on_all_cores
 from jaxisp.arrays.linear import linear_call
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.varying import alike
 
 _LARGE, _STRIP = 1 << 18, 1 << 17  # px: a frame that is worth strips, and one of them
@@ -158,7 +159,7 @@ def in_strips_on_cpu(
 def _stripped(
     whole: Callable[..., Any], strips: Callable[..., Any], cut: Strips, frames: int, *leaves: Any
 ) -> Any:
-    return lax.platform_dependent(*leaves, cpu=strips, default=whole)
+    return by_platform(*leaves, cpu=strips, default=whole)
 
 
 def _stripped_jvp(
@@ -194,7 +195,7 @@ def _stripped_jvp(
         return [*to_image, *to_others]
 
     def pull(leaves: Any, cotangent: Any) -> Any:
-        return lax.platform_dependent(leaves, cotangent, cpu=pull_strips, default=pull_whole)
+        return by_platform(leaves, cotangent, cpu=pull_strips, default=pull_whole)
 
     y = _stripped(whole, strips, cut, frames, *primals)
     return y, linear_call(push, pull, list(primals), [tangents[i] for i in moving])

@@ -86,6 +86,24 @@ def _read_lossless(path: Path, data: bytes, linear: bool) -> np.ndarray:
     raise InputError(f"{path}: is not a picture jaxisp reads ({', '.join(IMAGE_SUFFIXES)}), or a damaged one")
 
 
+def size_of(path: PathLike) -> tuple[int, int] | None:
+    """Rows and columns that `read_image` would give, as the header says; None where it does not."""
+    path = Path(path)
+    try:
+        check_file(path)
+        if path.suffix.lower() == ".npy":
+            shape = np.load(path, mmap_mode="r").shape
+            return (shape[0], shape[1]) if len(shape) == 3 else None
+        with silent_libraries(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as picture:
+                width, height = picture.size
+                turned = exif_of(picture).orientation >= 5
+    except Exception:  # parsers on arbitrary bytes; whoever reads the picture says what is wrong
+        return None
+    return (width, height) if turned else (height, width)
+
+
 def read_as_stored(path: PathLike) -> tuple[np.ndarray, dict[str, bytes]]:
     """Read a photograph in its own colour space, for a copy of the file with other pixels.
 

@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import nearest_int
 
 
@@ -37,6 +38,7 @@ _C = {name: fixed(value, 13) for name, value in {
 """Constants of the Loeffler, Ligtenberg and Moschytz DCT, 13 bits."""
 
 Rows = Sequence[Any]
+Ends = tuple[int, ...]
 
 
 def _odd_part(a: Any, b: Any, c: Any, d: Any) -> list[Any]:
@@ -113,27 +115,27 @@ def _rounded(x: jax.Array, bits: int) -> jax.Array:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
-def through_blocks(blocks: jax.Array, tables: jax.Array, first: int) -> jax.Array:
-    """Code and decode rows of blocks, (R, 8, W), with one of two whole-numbered tables.
+def through_blocks(blocks: jax.Array, tables: jax.Array, ends: Ends) -> jax.Array:
+    """Code and decode rows of blocks, (R, 8, W), each with one of some whole-numbered tables.
 
     Args:
         blocks: whole numbers in 0..255.
-        tables: (2, 8, 8) whole numbers in 1..255.
-        first: how many rows of blocks go by the first table; the others go by the second.
+        tables: (N, 8, 8) whole numbers in 1..65535.
+        ends: the row of blocks where each table but the last gives way to the next.
 
     Gradient: surrogate. The samples pass straight through. A table entry q has the derivative
     `round(t) - t s'(t)`, t = c / q, of a staircase with soft edges, `s' = 128/35 sin(pi t)**8`: how far
     each level moves, and which coefficients are about to drop one. (With `s' = 1`, straight through,
     a fitter is driven towards finer tables wherever it starts.)
     """
-    return _coded(blocks, tables, first)[0]
+    return _coded(blocks, tables, ends)[0]
 
 
-def _through_blocks_jvp(first: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+def _through_blocks_jvp(ends: Ends, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     (blocks, tables), (d_blocks, d_tables) = primals, tangents
-    coded, slope = _coded(blocks, tables, first, slopes=True)
+    coded, slope = _coded(blocks, tables, ends, slopes=True)
     basis = dct_matrix().astype(blocks.dtype)
-    moved = _of_rows(d_tables, first, len(blocks)) * slope
+    moved = _of_rows(d_tables, ends, len(blocks)) * slope
     change = jnp.einsum("ui,vj,ruxv->rixj", basis, basis, moved, precision=lax.Precision.HIGHEST)
     return coded, d_blocks + change.reshape(blocks.shape)
 
@@ -142,28 +144,29 @@ through_blocks.defjvp(_through_blocks_jvp)
 
 
 def _coded(
-    blocks: jax.Array, tables: jax.Array, first: int, *, slopes: bool = False
+    blocks: jax.Array, tables: jax.Array, ends: Ends, *, slopes: bool = False
 ) -> tuple[jax.Array, ...]:
     """The coded blocks, and the slopes of their coefficients, (R, 8, W / 8, 8), where they are wanted."""
-    by_lines, by_sums = partial(_by_lines, first, slopes), partial(_by_sums, first, slopes)
-    return lax.platform_dependent(blocks, tables, cpu=by_lines, default=by_sums)
+    by_lines, by_sums = partial(_by_lines, ends, slopes), partial(_by_sums, ends, slopes)
+    return by_platform(blocks, tables, cpu=by_lines, default=by_sums)
 
 
 # On a CPU: sample by sample of a block, so that what is added lies in planes as long as there are blocks
 
 
-def _by_lines(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
+def _by_lines(ends: Ends, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
     rows, _, width = blocks.shape
     each, dtype = materialize(_Steps.of(tables)), blocks.dtype  # or each coefficient would divide
-    count, most = rows * width // 8, first * width // 8
+    count = rows * width // 8
     across = _down(_forward_1d, _planes(blocks), 1, 11)
     # bound to what is coded, or a loop over strips would have the steps of each block stored before it
-    across, most = lax.optimization_barrier((across, jnp.int32(most)))
-    is_first = jnp.arange(count, dtype=jnp.int32) < most
+    bounds = [jnp.int32(end * width // 8) for end in ends]
+    across, bounds = lax.optimization_barrier((across, bounds))
+    before = [jnp.arange(count, dtype=jnp.int32) < bound for bound in bounds]
 
     def quantizer(fn: Callable[[jax.Array, _Steps], jax.Array]) -> Callable[[jax.Array, int], jax.Array]:
         def of_line(scaled: jax.Array, line: int) -> jax.Array:
-            steps = (jnp.where(is_first, s[0, line, :, None], s[1, line, :, None])[None] for s in each)
+            steps = (_by_end(before, [own[line, :, None] for own in s])[None] for s in each)
             return jax.jit(fn)(scaled.astype(dtype), _Steps(*steps))
 
         return of_line
@@ -178,6 +181,14 @@ def _by_lines(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) ->
         return (coded,)
     slope = _down(_forward_1d, across, 0, 15, quantizer(_slope), dtype)
     return coded, _blocks(slope, rows, dtype).reshape(rows, 8, -1, 8)
+
+
+def _by_end(before: Sequence[Any], values: Sequence[jax.Array]) -> jax.Array:
+    """Of values in a row the first whose end a place is before."""
+    chosen = values[-1]
+    for own, value in zip(before[::-1], values[-2::-1], strict=True):
+        chosen = jnp.where(own, value, chosen)
+    return chosen
 
 
 def _planes(blocks: jax.Array) -> jax.Array:
@@ -216,9 +227,9 @@ def _down(
 # Elsewhere: sums over 8, each one kernel with what is around it
 
 
-def _by_sums(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
+def _by_sums(ends: Ends, slopes: bool, blocks: jax.Array, tables: jax.Array) -> tuple[jax.Array, ...]:
     rows, _, width = blocks.shape
-    steps = _Steps(*(_of_rows(each, first, rows) for each in _Steps.of(tables)))
+    steps = _Steps(*(_of_rows(each, ends, rows) for each in _Steps.of(tables)))
     across = lax.optimization_barrier(nearest_int(_rows_forward(blocks - 128)))
     scaled = _columns(_forward_1d, across, 15, blocks.dtype).reshape(rows, 8, width // 8, 8)
     restored = _restored(scaled, steps).reshape(blocks.shape)
@@ -227,10 +238,10 @@ def _by_sums(first: int, slopes: bool, blocks: jax.Array, tables: jax.Array) -> 
     return (coded, _slope(scaled, steps)) if slopes else (coded,)
 
 
-def _of_rows(tables: jax.Array, first: int, rows: int) -> jax.Array:
-    """(rows, 8, 1, 8) from two tables: the first for so many rows of blocks, the second for the rest."""
-    is_first = (np.arange(rows) < first)[:, None, None, None]
-    return jnp.where(is_first, tables[0, :, None], tables[1, :, None])
+def _of_rows(tables: jax.Array, ends: Ends, rows: int) -> jax.Array:
+    """(rows, 8, 1, 8): the table of each row of blocks."""
+    before = [(np.arange(rows) < end)[:, None, None, None] for end in ends]
+    return _by_end(before, [table[:, None] for table in tables])
 
 
 def _rows_forward(blocks: jax.Array) -> jax.Array:

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.extents import Extent, clamped
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.safe_math import clip, straight_through
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
@@ -78,12 +79,15 @@ def _wider(plane: jax.Array, last: jax.Array, columns: int) -> jax.Array:
     return linear_call(joined, split, None, (plane, last))
 
 
-def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
+def downsample(plane: jax.Array, step: tuple[int, int], extent: Extent | None = None) -> jax.Array:
     """Box means over `step`, then padded to whole blocks, as the encoder does it.
 
-    The bias of the rounding alternates by column. Columns are padded before the mean, rows after it.
+    The bias of the rounding alternates by column. Columns are padded before the mean, rows after it. Beyond
+    the extent of a picture that is a part of the plane this padding goes on.
     """
     sy, sx = step
+    if extent is not None:
+        plane = clamped(plane, extent)
     height, width = plane.shape
     rows, columns = -(-height // sy), -(-width // (8 * sx)) * 8
     plane = _lower(plane, rows * sy - height)
@@ -94,6 +98,8 @@ def downsample(plane: jax.Array, step: tuple[int, int]) -> jax.Array:
         bias = np.arange(columns) % 2 + (1 if sy == 2 else 0)
         hard = shifted(total + bias.astype(plane.dtype)[None], sy * sx // 2)
         total = straight_through(hard, total / (sy * sx))
+    if extent is not None and sy > 1:
+        total = clamped(total, extent.over(step)._replace(width=jnp.int32(columns)))
     return _lower(total, -rows % 8)
 
 
@@ -115,14 +121,21 @@ def _repeated(step: tuple[int, int], _: None, plane: jax.Array) -> jax.Array:
     return plane
 
 
-def upsample(plane: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) -> jax.Array:
-    """Triangle ("fancy") interpolation by `step`, cropped to `shape`; narrow planes are repeated."""
+def upsample(
+    plane: jax.Array, shape: tuple[int, ...], step: tuple[int, int], extent: Extent | None = None
+) -> jax.Array:
+    """Triangle ("fancy") interpolation by `step`, cropped to `shape`; narrow planes are repeated.
+
+    A picture that is a part of the plane ends where its extent does, and is not narrow.
+    """
     sy, sx = step
     plane = plane[: -(-shape[0] // sy), : -(-shape[1] // sx)]  # block padding takes no part
     if step == (1, 1):
         return plane
     if plane.shape[1] <= 2:
         return jnp.repeat(jnp.repeat(plane, sy, 0), sx, 1)[: shape[0], : shape[1]]
+    if extent is not None:
+        plane = clamped(plane, extent.over(step))
     total = linear_call(partial(_triangles, step), partial(_triangles_transposed, step), None, plane)
     (even, odd), bits = ((8, 7), 4) if sy == 2 else ((1, 2), 2)
     bias = np.where(np.arange(total.shape[1]) % 2, odd, even).astype(plane.dtype)
@@ -164,7 +177,13 @@ def _interleave(a: jax.Array, b: jax.Array, axis: int) -> jax.Array:
     return materialize(jnp.stack([a, b], axis + 1)).reshape(shape)
 
 
-def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsampling: str) -> Planes:
+def compress(
+    rgb: Planes,
+    luma_table: jax.Array,
+    chroma_table: jax.Array,
+    subsampling: str,
+    extent: Extent | None = None,
+) -> Planes:
     """Planes of whole numbers in 0..255 through JPEG and back; where one is NaN, all come back so.
 
     The three planes go through the transform as one array, chroma below luma.
@@ -174,14 +193,20 @@ def compress(rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, subsam
         luma_table: (8, 8) whole numbers in 1..255.
         chroma_table: likewise.
         subsampling: a key of `SAMPLING`.
+        extent: of the picture, where the planes are larger.
     """
     step = SAMPLING[subsampling]
-    pack, unpack = partial(_pack, step=step), partial(_unpack, shape=rgb[0].shape, step=step)
-    return _compress(rgb, luma_table, chroma_table, pack, unpack)
+    pack = partial(_pack, step=step, extent=extent)
+    unpack = partial(_unpack, shape=rgb[0].shape, step=step, extent=extent)
+    return _compress(rgb, luma_table, chroma_table, pack, unpack, extent)
 
 
 def compress_full_or_half(
-    rgb: Planes, luma_table: jax.Array, chroma_table: jax.Array, full: jax.Array
+    rgb: Planes,
+    luma_table: jax.Array,
+    chroma_table: jax.Array,
+    full: jax.Array,
+    extent: Extent | None = None,
 ) -> Planes:
     """`compress` by 4:4:4 where `full`, else by 4:2:0, for little more than 4:4:4 takes.
 
@@ -192,24 +217,26 @@ def compress_full_or_half(
     rows = -(-shape[0] // 16) * 8  # of chroma in 4:2:0
 
     def pack(cb: jax.Array, cr: jax.Array) -> jax.Array:
-        few, many = _pack(cb, cr, half), _pack(cb, cr, whole)
+        few, many = _pack(cb, cr, half, extent), _pack(cb, cr, whole, extent)
         few = jnp.pad(few, ((0, len(many) - len(few)), (0, 0)))
         return jnp.where(full, _wider(many, many[:, -1:], few.shape[1] - many.shape[1]), few)
 
     def unpack(coded: jax.Array) -> list[jax.Array]:
-        many, few = _unpack(coded, shape, whole), _unpack(coded[:rows], shape, half)
+        many, few = _unpack(coded, shape, whole, extent), _unpack(coded[:rows], shape, half, extent)
         return [jnp.where(full, m, f) for m, f in zip(many, few)]
 
-    return _compress(rgb, luma_table, chroma_table, pack, unpack)
+    return _compress(rgb, luma_table, chroma_table, pack, unpack, extent)
 
 
-def _pack(cb: jax.Array, cr: jax.Array, step: tuple[int, int]) -> jax.Array:
+def _pack(cb: jax.Array, cr: jax.Array, step: tuple[int, int], extent: Extent | None) -> jax.Array:
     """Two planes half as wide side by side, others one below the other."""
-    return jnp.concatenate([downsample(c, step) for c in (cb, cr)], step[1] - 1)
+    return jnp.concatenate([downsample(c, step, extent) for c in (cb, cr)], step[1] - 1)
 
 
-def _unpack(coded: jax.Array, shape: tuple[int, ...], step: tuple[int, int]) -> list[jax.Array]:
-    return [upsample(c, shape, step) for c in jnp.split(coded, 2, step[1] - 1)]
+def _unpack(
+    coded: jax.Array, shape: tuple[int, ...], step: tuple[int, int], extent: Extent | None
+) -> list[jax.Array]:
+    return [upsample(c, shape, step, extent) for c in jnp.split(coded, 2, step[1] - 1)]
 
 
 def _compress(
@@ -218,17 +245,18 @@ def _compress(
     chroma_table: jax.Array,
     pack: Callable[[jax.Array, jax.Array], jax.Array],
     unpack: Callable[[jax.Array], Sequence[jax.Array]],
+    extent: Extent | None,
 ) -> Planes:
     shape = rgb[0].shape
     y, cb, cr = materialize(rgb_to_ycbcr(rgb))  # or whatever reads one would make it anew
     lost = jnp.isnan(y)
     y, cb, cr = (jnp.where(lost, black, p) for black, p in ((0, y), (128, cb), (128, cr)))
     chroma = pack(cb, cr)
-    y = downsample(y, (1, 1))
+    y = downsample(y, (1, 1), extent)
     y = _wider(y, y[:, -1:], chroma.shape[1] - y.shape[1])
     blocks = jnp.concatenate([y, chroma]).reshape(-1, 8, chroma.shape[1])
     tables = jnp.stack([luma_table, chroma_table])
-    coded = through_blocks(lax.optimization_barrier(blocks), tables, len(y) // 8)
+    coded = through_blocks(lax.optimization_barrier(blocks), tables, (len(y) // 8,))
     coded = coded.reshape(-1, blocks.shape[2])
     y = jnp.where(lost, jnp.nan, coded[: shape[0], : shape[1]])
     cb, cr = unpack(coded[-len(chroma) :])
@@ -238,18 +266,23 @@ def _compress(
 def compress_each(planes: Planes, tables: jax.Array, subsampling: str) -> Planes:
     """Components as they stand, each coded and decoded with a table of its own.
 
+    They go through the transform as one array, one below the other; those half as wide in two halves side by
+    side.
+
     Args:
         planes: three (H, W) planes of whole numbers in 0..255.
         tables: (3, 8, 8) whole numbers in 1..65535.
         subsampling: a key of `SAMPLING`: of the second and the third.
     """
-
-    def one(plane: jax.Array, table: jax.Array, step: tuple[int, int]) -> jax.Array:
-        small = downsample(plane, step)
-        blocks = materialize(small.reshape(-1, 8, small.shape[1]))
-        coded = through_blocks(blocks, jnp.stack([table, table]), len(blocks))
-        return upsample(coded.reshape(small.shape), plane.shape, step)
-
-    steps = (1, 1), SAMPLING[subsampling], SAMPLING[subsampling]
-    first, second, third = (one(*each) for each in zip(planes, tables, steps))
-    return first, second, third
+    step, shape = SAMPLING[subsampling], planes[0].shape
+    first, *others = (downsample(p, s) for p, s in zip(planes, ((1, 1), step, step)))
+    small, parts = others[0].shape, step[1]
+    folded = [jnp.concatenate(jnp.split(_lower(p, -len(p) % (8 * parts)), parts), 1) for p in others]
+    width = folded[0].shape[1]
+    first = _wider(first, first[:, -1:], width - first.shape[1])
+    joined = materialize(jnp.concatenate([first, *folded]).reshape(-1, 8, width))
+    ends = len(first), len(first) + len(folded[0])
+    coded = through_blocks(joined, tables, (ends[0] // 8, ends[1] // 8)).reshape(-1, width)
+    whole, *halves = jnp.split(coded, ends)
+    second, third = (jnp.concatenate(jnp.split(half, parts, 1))[: small[0]] for half in halves)
+    return whole[: shape[0], : shape[1]], upsample(second, shape, step), upsample(third, shape, step)

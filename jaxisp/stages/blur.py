@@ -36,7 +36,7 @@ class OpticalBlur:
     sigma: Leaf = param(0.5, (0.0, 4.0), "px", doc="standard deviation; 0 leaves the image as it is")
 
 
-@register(reach=lambda o: o["radius"])
+@register(reach=lambda o: o["radius"], symmetric=True)
 def optical_blur(params: OpticalBlur, image: LinearRGB, *, radius: Positive = 12) -> LinearRGB:
     """Low-pass by the lens or the anti-alias filter.
 

@@ -25,7 +25,7 @@ class UnsharpMask:
     threshold: Leaf = param(0.0, (0.0, 0.2), "level", doc="smaller detail is left alone")
 
 
-@register(reach=lambda o: o["radius"])
+@register(reach=lambda o: o["radius"], symmetric=True)
 def unsharp_mask(params: UnsharpMask, image: RGB, *, radius: Positive = 12) -> RGB:
     """Add what a Gaussian blur takes away: a halo along edges, and amplified noise.
 

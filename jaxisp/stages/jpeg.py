@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.arrays.dtypes import given_and_exact
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.safe_math import clip, clip_through, round_through, straight_through
 from jaxisp.domains import EncodedRGB
@@ -42,6 +43,7 @@ def jpeg(
     params: Jpeg,
     image: EncodedRGB,
     *,
+    extent: Extent | None = None,
     subsampling: Sampling = "4:2:0",
     row_phase: Phase = 0,
     column_phase: Phase = 0,
@@ -54,6 +56,7 @@ def jpeg(
     Args:
         params: the quality, shared by luma and chroma.
         image: (H, W, 3) in [0, 1]; clipped, and rounded to 8 bits, as an encoder gets it.
+        extent: of the picture, where the image is a larger frame.
         subsampling: "4:4:4", "4:2:2" or "4:2:0".
         row_phase: rows of a larger JPEG above this crop, modulo 16 (what they held is guessed).
         column_phase: likewise to the left.
@@ -71,7 +74,7 @@ def jpeg(
     Source: ITU-T T.81 (1992); libjpeg 6b and libjpeg-turbo (islow DCT, fancy upsampling).
     """
     luma, chroma = (_scaled_table(base, params.quality) for base in (ANNEX_K_LUMA, ANNEX_K_CHROMA))
-    return _through_jpeg(image, luma, chroma, subsampling, row_phase, column_phase)
+    return _through_jpeg(image, luma, chroma, subsampling, (row_phase, column_phase), extent)
 
 
 def _scaled_table(base: np.ndarray | jax.Array, quality: jax.Array) -> jax.Array:
@@ -98,6 +101,7 @@ def jpeg_photoshop(
     params: JpegPhotoshop,
     image: EncodedRGB,
     *,
+    extent: Extent | None = None,
     subsampling: SamplingOrAuto = "auto",
 ) -> EncodedRGB:
     """JPEG with the tables of one of Photoshop's thirteen levels, decoded as libjpeg does.
@@ -107,6 +111,7 @@ def jpeg_photoshop(
     Args:
         params: the level.
         image: (H, W, 3) in [0, 1]; clipped, and rounded to 8 bits, as an encoder gets it.
+        extent: of the picture, where the image is a larger frame.
         subsampling: "auto" (4:2:0 below level 7, 4:4:4 from there up, as Photoshop; takes as long as
             4:4:4), "4:4:4", "4:2:2" or "4:2:0".
 
@@ -122,11 +127,11 @@ def jpeg_photoshop(
     """
     luma, chroma = (_level_table(t, params.level) for t in (PHOTOSHOP_LUMA, PHOTOSHOP_CHROMA))
     if subsampling != "auto":
-        return _through_jpeg(image, luma, chroma, subsampling)
+        return _through_jpeg(image, luma, chroma, subsampling, (0, 0), extent)
     full = jnp.round(params.level) >= FIRST_FULL_LEVEL
     levels = _levels(image)
     exact = levels[0].dtype
-    coded = compress_full_or_half(levels, luma.astype(exact), chroma.astype(exact), full)
+    coded = compress_full_or_half(levels, luma.astype(exact), chroma.astype(exact), full, extent)
     return _stacked(coded, image.dtype)
 
 
@@ -158,6 +163,7 @@ def jpeg_tables(
     params: JpegTables,
     image: EncodedRGB,
     *,
+    extent: Extent | None = None,
     subsampling: Sampling = "4:2:0",
     row_phase: Phase = 0,
     column_phase: Phase = 0,
@@ -169,6 +175,7 @@ def jpeg_tables(
     Args:
         params: the (8, 8) tables in natural order.
         image: (H, W, 3) in [0, 1]; clipped, and rounded to 8 bits, as an encoder gets it.
+        extent: of the picture, where the image is a larger frame.
         subsampling: "4:4:4", "4:2:2" or "4:2:0".
         row_phase: rows of a larger JPEG above this crop, modulo 16 (what they held is guessed).
         column_phase: likewise to the left.
@@ -185,7 +192,7 @@ def jpeg_tables(
     Source: ITU-T T.81 (1992); libjpeg 6b and libjpeg-turbo (islow DCT, fancy upsampling).
     """
     luma, chroma = (clip_through(round_through(t), 1, 255) for t in (params.luma_table, params.chroma_table))
-    return _through_jpeg(image, luma, chroma, subsampling, row_phase, column_phase)
+    return _through_jpeg(image, luma, chroma, subsampling, (row_phase, column_phase), extent)
 
 
 def _through_jpeg(
@@ -193,11 +200,12 @@ def _through_jpeg(
     luma: jax.Array,
     chroma: jax.Array,
     subsampling: str,
-    row_phase: int = 0,
-    column_phase: int = 0,
+    phases: tuple[int, int],
+    extent: Extent | None,
 ) -> jax.Array:
     if subsampling not in SAMPLING:
         raise ValueError(f"jpeg: subsampling must be one of {', '.join(SAMPLING)}, got {subsampling!r}")
+    row_phase, column_phase = phases
     if not (0 <= row_phase < 16 and 0 <= column_phase < 16):
         raise ValueError(f"jpeg: phases must be in 0..15, got {row_phase}, {column_phase}")
     levels = _levels(image)
@@ -206,7 +214,9 @@ def _through_jpeg(
         for p in levels
     )
     exact = red.dtype
-    red, green, blue = compress((red, green, blue), luma.astype(exact), chroma.astype(exact), subsampling)
+    tables = luma.astype(exact), chroma.astype(exact)
+    larger = extent and Extent(extent.height + row_phase, extent.width + column_phase)
+    red, green, blue = compress((red, green, blue), *tables, subsampling, larger)
     coded = (p[row_phase:, column_phase:] for p in (red, green, blue))
     return _stacked(coded, image.dtype)
 

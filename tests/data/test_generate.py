@@ -8,10 +8,12 @@ import pytest
 
 from jaxisp import generate
 from jaxisp.errors import InputError
+from jaxisp.frames import MOST_FRAMES, Frames
 from jaxisp.generate import Outcome, Work, degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.pipeline import Chain, stage
 from jaxisp.process import memory
+from jaxisp.process.programs import compile_times
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
@@ -111,6 +113,20 @@ def test_pictures_of_many_sizes_do_not_pile_up(tmp_path, monkeypatch):
     assert sorted(given) == [f"{i}_000" for i in range(6)]
     degrade_files([tmp_path / "in"], few, recipe, seed=1)
     assert contents(few) == contents(whole)
+
+
+def test_pictures_of_many_sizes_share_programs(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for i in range(24):
+        write_png(tmp_path / "in" / f"{i:02d}.png", smooth_image((20 + i % 6, 26 + i // 2, 3), i))
+    recipe = Recipe(Chain((stage("gaussian_noise"), stage("rounding")), "grain"), {})
+    alone, shared = tmp_path / "alone", tmp_path / "shared"
+    with compile_times() as programs:
+        assert degrade_files([tmp_path / "in"], shared, recipe, count=2, seed=1).images == 48
+    assert sum(program.name == "_degrade" for program in programs) <= MOST_FRAMES
+    monkeypatch.setattr(generate, "shared_frames", lambda *_: Frames())
+    degrade_files([tmp_path / "in"], alone, recipe, count=2, seed=1)
+    assert contents(shared) == contents(alone)
 
 
 def test_a_broken_file_does_not_take_a_name(tmp_path):

@@ -33,7 +33,7 @@ from jaxisp.stages.demosaic.median import smooth_differences
 Variant = Annotated[str, one_of("paper", "libraw")]
 
 
-@register(reach=lambda o: _reach(o["delta"]) + 2 * o["median_passes"])
+@register(reach=lambda o: _reach(o["delta"]) + 2 * o["median_passes"], symmetric=True)
 def demosaic_ahd(
     image: Mosaic,
     *,

@@ -21,7 +21,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.linear import mirrored
 
 
-@register(reach=1)
+@register(reach=1, symmetric=True)
 def demosaic_bilinear(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Fill in each colour by the mean of its nearest samples: blurs, and leaves zipper and colour fringes.
 

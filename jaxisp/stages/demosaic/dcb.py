@@ -17,7 +17,7 @@ _TWO_AWAY = [(2 * y, 2 * x) for y, x in CROSS]
 _AROUND = CROSS + DIAGONALS
 
 
-@register(reach=16)
+@register(reach=16, symmetric=True)
 def demosaic_dcb(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Blend the means of the greens to the sides and above and below by a map of directions.
 

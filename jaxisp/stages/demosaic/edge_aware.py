@@ -15,7 +15,7 @@ from jaxisp.stages.demosaic.hamilton_adams import share_of_rows
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
-@register(reach=1)
+@register(reach=1, symmetric=True)
 def demosaic_edge_aware(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, red and blue bilinearly.
 

@@ -23,7 +23,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
-@register(reach=3)
+@register(reach=3, symmetric=True)
 def demosaic_hamilton_adams(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction that is flatter in green and in the pixel's own colour.
 

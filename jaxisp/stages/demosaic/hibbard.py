@@ -21,7 +21,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
-@register(reach=2)
+@register(reach=2, symmetric=True)
 def demosaic_hibbard(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the direction in which it changes less, then the differences from green.
 

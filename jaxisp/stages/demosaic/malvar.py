@@ -21,7 +21,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.linear import mirrored
 
 
-@register(reach=2)
+@register(reach=2, symmetric=True)
 def demosaic_malvar(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Bilinear interpolation plus a share of the Laplacian of the colour measured on the spot.
 

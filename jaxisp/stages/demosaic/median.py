@@ -43,7 +43,7 @@ def _smooth_differences(passes: int, rgb: Planes) -> Planes:
     return green + differences[0], green, green + differences[1]
 
 
-@register(reach=lambda o: 2 * o["passes"])
+@register(reach=lambda o: 2 * o["passes"], symmetric=True)
 def color_difference_median(image: CameraRGB, *, passes: Count = 1) -> CameraRGB:
     """Take away isolated false colour after demosaicking: 3x3 medians of the colour differences.
 

@@ -22,7 +22,7 @@ from jaxisp.stages.demosaic.common import (
 from jaxisp.stages.demosaic.linear import mirrored, piecewise_linear
 
 
-@register(reach=8)
+@register(reach=8, symmetric=True)
 def demosaic_menon(image: Mosaic, *, cfa: Bayer = "RGGB", refining: bool = True) -> CameraRGB:
     """Interpolate green along rows and along columns, keep where colour differences vary less, and refine.
 

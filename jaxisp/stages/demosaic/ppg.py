@@ -12,7 +12,7 @@ from jaxisp.pipeline import register
 from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, neighbours, red_and_blue, sites
 
 
-@register(reach=5)
+@register(reach=5, symmetric=True)
 def demosaic_ppg(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Interpolate green along the flatter direction, kept between its neighbours, and colours by differences.
 

@@ -19,7 +19,7 @@ _STRAIGHT: list[Offset] = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 _DIAGONAL: list[Offset] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
 
 
-@register(reach=2)
+@register(reach=2, symmetric=True)
 def demosaic_vng(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Take colour differences from those of eight directions whose gradients are small.
 

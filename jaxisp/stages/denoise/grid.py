@@ -17,6 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.arrays.barriers import on_all_cores, store, store_off_cpu
 from jaxisp.arrays.linear import fused_sum, linear_call
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import straight_through
 from jaxisp.stages.denoise.grid_blur import blurred
 
@@ -70,7 +71,7 @@ def grid_planes(
 
     run = filtered
     if large:
-        run = partial(lax.platform_dependent, cpu=partial(_in_place, filtered), default=filtered)
+        run = partial(by_platform, cpu=partial(_in_place, filtered), default=filtered)
     weight, *sums = run(u, values)
     return tuple(_from_phases(s / jnp.maximum(weight, 1e-12), cell, height, width) for s in sums)
 
@@ -155,7 +156,7 @@ def _collect(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Arr
     def in_groups(u: jax.Array, values: jax.Array) -> jax.Array:
         return _sum([over(some, u, values) for some in _groups(len(u))], _UNROLLED)
 
-    return lax.platform_dependent(u, values, cpu=in_groups, default=partial(over, slice(None)))
+    return by_platform(u, values, cpu=in_groups, default=partial(over, slice(None)))
 
 
 def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
@@ -170,7 +171,7 @@ def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
         here = np.zeros(len(u), np.int32), np.ones(len(u))
         return _looked_up(u, grid, [here], slope)
 
-    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
+    return by_platform(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
 
 
 def _indexable(grid: jax.Array) -> bool:
@@ -275,7 +276,7 @@ def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: 
             cells.append((by_phase, np.concatenate(weights)))
         return _looked_up(u, grid, cells, slope)
 
-    return lax.platform_dependent(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
+    return by_platform(u, grid, cpu=dense, default=looked_up if _indexable(grid) else dense)
 
 
 def _spread(u: jax.Array, cotangent: jax.Array, shape: tuple[int, ...], cell: int, stride: int) -> jax.Array:

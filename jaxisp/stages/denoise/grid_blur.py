@@ -11,6 +11,7 @@ from jax import lax
 
 from jaxisp.arrays.barriers import store
 from jaxisp.arrays.linear import fused_sum, linear_call, scaled
+from jaxisp.arrays.platforms import by_platform
 
 Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
 
@@ -51,7 +52,7 @@ def _blurred_in_space(grid: jax.Array, variance: jax.Array, little_memory: bool)
     across = jnp.pad(across, ((0, 2), (0, 0)))  # what the two columns more hold is dropped
     filtered = _filtered
     if little_memory:
-        filtered = partial(lax.platform_dependent, cpu=_in_groups, default=_filtered)
+        filtered = partial(by_platform, cpu=_in_groups, default=_filtered)
 
     def transposed(kernels: Kernels, cotangent: jax.Array) -> jax.Array:
         # fast on a CPU only with the matrices stored transposed
@@ -87,7 +88,7 @@ def _filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
         # a product would store the matrix once for each plane
         return fused_sum(m.T[:, :, None] * g[:, :, None], 1)
 
-    return lax.platform_dependent(down, turned, cpu=by_plane, default=summed)
+    return by_platform(down, turned, cpu=by_plane, default=summed)
 
 
 def _in_groups(kernels: Kernels, grid: jax.Array) -> jax.Array:

@@ -98,7 +98,7 @@ class Median:
     strength: Leaf = param(1.0, (0.0, 1.0), "1", doc="0 keeps the image, 1 is the median")
 
 
-@register(reach=lambda o: o["iterations"] * _reach(MEDIANS[o["footprint"]][1]))
+@register(reach=lambda o: o["iterations"] * _reach(MEDIANS[o["footprint"]][1]), symmetric=True)
 def median(
     params: Median,
     image: RGB,

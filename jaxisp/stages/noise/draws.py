@@ -2,12 +2,15 @@
 
 import jax
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.stencils import filter_rows_columns
 from jaxisp.stages.draws import standard_normal
 
 
-def normal(key: jax.Array, like: jax.Array, shape: tuple[int, ...] | None = None) -> jax.Array:
-    return standard_normal(key, like.shape if shape is None else shape, like.dtype)
+def normal(
+    key: jax.Array, like: jax.Array, shape: tuple[int, ...] | None = None, *, extent: Extent | None = None
+) -> jax.Array:
+    return standard_normal(key, like.shape if shape is None else shape, like.dtype, extent)
 
 
 def filtered_normal(key: jax.Array, like: jax.Array, taps_y: jax.Array, taps_x: jax.Array) -> jax.Array:

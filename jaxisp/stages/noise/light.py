@@ -7,10 +7,12 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.draws import uniform
 from jaxisp.stages.noise.draws import normal
 
 
@@ -22,7 +24,9 @@ class GaussianNoise:
 
 
 @register
-def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Image:
+def gaussian_noise(
+    params: GaussianNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add white Gaussian noise, the same strength everywhere and in all channels.
 
     `y = x + std * n`, n standard normal.
@@ -31,6 +35,7 @@ def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Im
         params: std, in the unit of the image.
         image: (H, W) or (H, W, 3), any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -39,7 +44,7 @@ def gaussian_noise(params: GaussianNoise, image: Image, *, key: jax.Array) -> Im
 
     Source: Jaroensri et al. 2019, table 1 ("AWGN").
     """
-    return image + params.std.astype(image.dtype) * normal(key, image)
+    return image + params.std.astype(image.dtype) * normal(key, image, extent=extent)
 
 
 @parameters
@@ -51,7 +56,9 @@ class ShotReadNoise:
 
 
 @register
-def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> Image:
+def shot_read_noise(
+    params: ShotReadNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add signal-dependent Gaussian noise: photons and readout.
 
     `y = x + sqrt(shot * max(x, 0) + read**2) * n`, n standard normal.
@@ -61,6 +68,7 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
             a DNG's NoiseProfile (S, O) is shot = S, read = sqrt(O).
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -70,7 +78,7 @@ def shot_read_noise(params: ShotReadNoise, image: Image, *, key: jax.Array) -> I
     Source: Foi et al. 2008; Jaroensri et al. 2019, section 3 ("AMWGN").
     """
     shot, read = params.shot.astype(image.dtype), params.read.astype(image.dtype)
-    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read * read) * normal(key, image)
+    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read * read) * normal(key, image, extent=extent)
 
 
 @parameters
@@ -82,7 +90,9 @@ class PoissonNoise:
 
 
 @register
-def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Image:
+def poisson_noise(
+    params: PoissonNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Count electrons, then add Gaussian read noise: `shot_read_noise` without its approximation.
 
     `y = x + (gain * N - max(x, 0)) + read * n`, N Poisson of mean max(x, 0) / gain, n standard normal.
@@ -92,6 +102,7 @@ def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Imag
         params: gain and read.
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -105,12 +116,12 @@ def poisson_noise(params: PoissonNoise, image: Image, *, key: jax.Array) -> Imag
     gain, read = params.gain.astype(image.dtype), params.read.astype(image.dtype)
     count_key, read_key = jax.random.split(key)
     mean = lax.stop_gradient(jnp.maximum(image, 0) / gain)
-    excess = lax.stop_gradient(gain) * poisson_excess(count_key, mean)
+    excess = lax.stop_gradient(gain) * poisson_excess(count_key, mean, extent)
     growth = jnp.sqrt(gain / lax.stop_gradient(gain))  # 1 in value
-    return image + straight_through(excess, excess * growth) + read * normal(read_key, image)
+    return image + straight_through(excess, excess * growth) + read * normal(read_key, image, extent=extent)
 
 
-def poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
+def poisson_excess(key: jax.Array, mean: jax.Array, extent: Extent | None = None) -> jax.Array:
     """N - mean, with N Poisson: the quantile function at a uniform draw.
 
     Unlike rejection it takes keys of every kind, has no loop of unknown length, and changes as little
@@ -120,9 +131,10 @@ def poisson_excess(key: jax.Array, mean: jax.Array) -> jax.Array:
     if mean.ndim > 2:
         # as rows of interleaved pixels: XLA's CPU code does not vectorise over a last axis of 3
         rows = materialize(mean.reshape(len(mean), math.prod(mean.shape[1:])))
-        return materialize(poisson_excess(key, rows)).reshape(mean.shape)
+        own = extent and extent._replace(width=extent.width * (rows.shape[1] // mean.shape[1]))
+        return materialize(poisson_excess(key, rows, own)).reshape(mean.shape)
     tiny = jnp.finfo(mean.dtype).eps
-    sign = jax.random.uniform(key, mean.shape, mean.dtype, minval=-1 + tiny, maxval=1)
+    sign = uniform(key, mean.shape, mean.dtype, -1 + float(tiny), 1, extent)
     return jnp.where(mean < 16, _summed(0.5 * (1 + sign), mean), _expanded(sign, mean))
 
 

@@ -3,10 +3,12 @@
 import jax
 import jax.numpy as jnp
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.safe_math import safe_sqrt, straight_through
 from jaxisp.domains import Image
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.draws import uniform
 from jaxisp.stages.noise.draws import normal
 from jaxisp.stages.noise.light import poisson_excess
 
@@ -22,7 +24,9 @@ class ShotReadLaw:
 
 
 @register
-def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image:
+def shot_read_law(
+    params: ShotReadLaw, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Add signal-dependent Gaussian noise whose read noise follows from its shot noise.
 
     `y = x + sqrt(shot * max(x, 0) + read) * n`, n standard normal,
@@ -33,6 +37,7 @@ def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image
             are those of the cameras of the Darmstadt Noise Dataset.
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -44,7 +49,7 @@ def shot_read_law(params: ShotReadLaw, image: Image, *, key: jax.Array) -> Image
     """
     shot = params.shot.astype(image.dtype)
     read = _on_line(params.shot, params.slope, params.intercept, params.deviation).astype(image.dtype)
-    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read) * normal(key, image)
+    return image + safe_sqrt(shot * jnp.maximum(image, 0) + read) * normal(key, image, extent=extent)
 
 
 def _on_line(x: jax.Array, slope: jax.Array, intercept: jax.Array, deviation: jax.Array) -> jax.Array:
@@ -68,7 +73,9 @@ class LowLightNoise:
 
 
 @register
-def low_light_noise(params: LowLightNoise, image: Image, *, key: jax.Array) -> Image:
+def low_light_noise(
+    params: LowLightNoise, image: Image, *, key: jax.Array, extent: Extent | None = None
+) -> Image:
     """Dim the light, add noise of photons, readout, rows and rounding in DN, and amplify it again.
 
     With K the gain, r the ratio and W white, `z = x W / r`,
@@ -80,6 +87,7 @@ def low_light_noise(params: LowLightNoise, image: Image, *, key: jax.Array) -> I
         params: gain, the two lines, the shape a, ratio and white.
         image: (H, W) or (H, W, 3) linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         The same shape and domain, not clipped.
@@ -95,16 +103,16 @@ def low_light_noise(params: LowLightNoise, image: Image, *, key: jax.Array) -> I
     to_dn = p.white / p.ratio
     light = jnp.maximum(image, 0) * to_dn
     mean = jax.lax.stop_gradient(light / p.gain)
-    excess = jax.lax.stop_gradient(p.gain * poisson_excess(counts, mean))
+    excess = jax.lax.stop_gradient(p.gain * poisson_excess(counts, mean, extent))
     # the counts as Gaussian: their noise grows with the root of the gain, and of the light in DN
     growth = jnp.sqrt(p.gain * to_dn / jax.lax.stop_gradient(p.gain * to_dn))
     shot = straight_through(excess, excess * growth)
     read = _on_line(p.gain, p.read_slope, p.read_intercept, p.read_deviation)
     row = _on_line(p.gain, p.row_slope, p.row_intercept, p.row_deviation)
     tiny = float(jnp.finfo(image.dtype).eps)
-    u = jax.random.uniform(reading, image.shape, image.dtype, tiny, 1 - tiny)
+    u = uniform(reading, image.shape, image.dtype, tiny, 1 - tiny, extent)
     offsets = normal(rows, image, (image.shape[0],) + (1,) * (image.ndim - 1))
-    steps = jax.random.uniform(rounding, image.shape, image.dtype, -0.5, 0.5)
+    steps = uniform(rounding, image.shape, image.dtype, -0.5, 0.5, extent)
     noise = shot + read * _tukey_lambda(u, p.read_shape) + row * offsets + steps
     return image + noise / to_dn
 

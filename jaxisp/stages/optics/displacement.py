@@ -12,6 +12,7 @@ from jax import lax
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.linear import inner_product, linear_call
 from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import clip
 from jaxisp.arrays.stencils import pad, views
 from jaxisp.arrays.varying import alike
@@ -295,7 +296,7 @@ def _returned(primals: Places, cotangent: jax.Array) -> Places:
 
     if h <= 2 * rows:
         return whole(*primals, cotangent)
-    return lax.platform_dependent(*primals, cotangent, cpu=strips, default=whole)
+    return by_platform(*primals, cotangent, cpu=strips, default=whole)
 
 
 def _returned_rows(
