@@ -74,8 +74,9 @@ class LevelNet(nnx.Module):
         self.multiple = max(CELL, 2 ** len(features))
         strides = [2**i for i in range(1, len(features) + 1)]
         passes = [2 * depth] * len(steps) + [depth]
+        half = 2 + _WINDOW // 2  # of the first and last convolutions, and of local means
         # once it has its map, between the cells of which is interpolated
-        self.reach = 2 * (2 + _WINDOW // 2) + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
+        self.reach = 2 * half + sum(s * n for s, n in zip(strides, passes)) + 2 ** len(features) + CELL // 2
         self.map_reach = REACH + 2 * depth * CELL
 
     def noise_map(self, x: jax.Array) -> jax.Array:
