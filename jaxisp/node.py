@@ -129,7 +129,12 @@ class Node:
             check_key(self.name, key)
         self.check(params)
         # a stage's branches and loops need them alike
-        return self.apply(*alike((params, image, key, extent)))
+        return self.in_frame(*alike((params, image, key, extent)))
+
+    def in_frame(self, params: Params, image: jax.Array, key: jax.Array | None, extent: Any) -> jax.Array:
+        """`apply`, whose extent a node of a user's own may not take: it gets none where there is none."""
+        frame = () if extent is None else (extent,)
+        return self.apply(params, image, key, *frame)
 
 
 def require_node(node: Any, what: str) -> None:

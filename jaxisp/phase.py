@@ -71,5 +71,5 @@ class AnyPhase(Around):
             image, extent = mirrored(image, extent), extent.grown(2)
         padded = jnp.pad(image, (_BORDER, _BORDER, (0, 0)), mode="reflect")
         moved = lax.dynamic_slice(padded, (1 - row, 1 - column, none), (height + 2, width + 2, channels))
-        out = self.node.apply(params, moved, key, extent)
+        out = self.node.in_frame(params, moved, key, extent)
         return lax.dynamic_slice(out, (row, column, none), image.shape)

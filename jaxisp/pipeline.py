@@ -215,7 +215,7 @@ class Gate(Around):
     ) -> jax.Array:
         # not jnp.where: a dead branch would leak NaN gradients
         on = entry(params, self.name, Switch).on > 0.5
-        return lax.cond(on, lambda x: self.node.apply(params, x, key, extent), lambda x: x, image)
+        return lax.cond(on, lambda x: self.node.in_frame(params, x, key, extent), lambda x: x, image)
 
 
 @parameters
@@ -299,7 +299,7 @@ def _in_turn(
 ) -> jax.Array:
     for i, node in enumerate(nodes):
         # without this XLA's CPU backend recomputes one stencil inside the next
-        image = node.apply(params, image if stored and not i else _stored(image), key, extent)
+        image = node.in_frame(params, image if stored and not i else _stored(image), key, extent)
     return image
 
 

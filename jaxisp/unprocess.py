@@ -104,12 +104,12 @@ class Unprocessed(Around):
         raw, developed = self._split
         seen = clip(_dimmed(apply_matrix(matrix, image), gains.astype(image.dtype), self.preserve), 0, 1)
         for node in raw:
-            seen = node.apply(params, seen, key, extent)
+            seen = node.in_frame(params, seen, key, extent)
         assert isinstance(developed[0], Stage)
         masks = filters.masks((seen.shape[0], seen.shape[1]), str(developed[0].options["cfa"]))
         seen = clip(seen * filters.select(masks, *(1 / gains).astype(seen.dtype)), 0, 1)
         for node in developed:
-            seen = node.apply(params, seen, key, extent)
+            seen = node.in_frame(params, seen, key, extent)
         return apply_matrix(jnp.linalg.inv(matrix), seen)
 
 

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from jaxisp.arrays.extents import has_room
 from jaxisp.frames import MOST_FRAMES, Frames, shared_frames
+from jaxisp.pipeline import Chain, Gate, Stage, run, stage
+from jaxisp.testing import smooth_image
 
 sides = st.integers(1, 700)
 
@@ -55,3 +57,16 @@ def test_frames_are_little_larger_than_the_pictures(count):
     frames = shared_frames(counts, 1)
     own, all_ = (sum(n * np.prod(of(s)) for s, n in counts.items()) for of in (tuple, frames.of))
     assert all_ < 1.45 * own
+
+
+class Old(Stage):
+    """As a node of a user's own was before there were frames."""
+
+    def apply(self, params, image, key):
+        return 1 - super().apply(params, image, key)
+
+
+def test_a_node_of_ones_own_that_knows_no_frames_runs_alone():
+    image = smooth_image((12, 14, 3))
+    chain = Chain((Gate(Old(stage("rounding").fn, "rounding")), stage("clip")), "own")
+    np.testing.assert_allclose(run(chain, chain.init(), image), 1 - image, atol=0.51 / 255)
