@@ -12,6 +12,8 @@ import jaxisp
 from jaxisp.adapt import _crop, _laws, _narrowed, _nearest, _ridge, _scaled, _stated, _values, adapt
 from jaxisp.cli import main
 from jaxisp.color import LUMA_601
+from jaxisp.data import downsample_linear
+from jaxisp.data.procedural import drawn
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.io.jpeg import decode_jpeg, encode_jpeg
@@ -23,6 +25,7 @@ from jaxisp.stages.blur import MotionBlur
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise
 from jaxisp.testing import smooth_image
+from jaxisp.train.finetune import clean_from
 
 CAMERAS = Recipe(
     Chain((stage("gaussian_noise"), stage("clip"), stage("jpeg", subsampling="4:4:4")), "cameras"),
@@ -212,6 +215,23 @@ def test_drawn_pictures_stand_beside_photographs_or_for_them(folders):
     assert noise.low < 0.03 < noise.high and not found.skipped
 
 
+def test_clean_pictures_are_made_of_noisy_ones(tmp_path, rng):
+    """Nearer to what is there than those made smaller alone; none of a pair's clean one, or a small one."""
+    (tmp_path / "noisy").mkdir()
+    clean = drawn("gradients", 1, 192)
+    noisy = np.clip(clean + 0.1 * rng.standard_normal(clean.shape), 0, 1).astype(np.float32)
+    for name, picture in (("a.png", noisy), ("b.clean.png", clean), ("c.png", noisy[:100])):
+        write_png(tmp_path / "noisy" / name, picture)
+    (folder,) = clean_from(tmp_path / "noisy", tmp_path / "clean", downsample=2)
+    (made,) = (tmp_path / "clean").iterdir()
+    truth, alone = (downsample_linear(picture, 2) for picture in (clean, noisy))
+    assert np.std(read_image(made) - truth) < 0.6 * np.std(alone - truth)
+    assert clean_from(tmp_path / "noisy", folder, downsample=2) == [folder]
+    write_png(made, clean)
+    with pytest.raises(InputError, match="stands there already and would be replaced"):
+        clean_from(tmp_path / "noisy", folder, downsample=2)
+
+
 def test_clean_pictures_of_pairs_are_passed_over(folders, tmp_path):
     for name, other in (("0.png", "0.noisy.png"), ("1.png", "0.clean.png")):
         shutil.copy(folders / "noisy" / name, tmp_path / other)
@@ -286,3 +306,7 @@ def test_the_command_writes_a_recipe_and_trains_on_it(folders, tmp_path, capsys)
     out = tmp_path / "out.png"
     assert main(["denoise", "--run", str(run), str(folders / "noisy" / "0.png"), "-o", str(out)]) == 0
     assert read_image(out).shape == (200, 200, 3)
+    made = sorted(path.name for path in (run / "clean").iterdir())
+    assert len(made) == len(list((folders / "noisy").iterdir()))
+    assert main([str(part) for part in call]) == 0  # finished, and its clean pictures are as they were
+    assert sorted(path.name for path in (run / "clean").iterdir()) == made

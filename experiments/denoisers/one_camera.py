@@ -31,7 +31,7 @@ from jaxisp.models import read_network
 from jaxisp.models.apply import Denoiser
 from jaxisp.process.cache import keep_compiled
 from jaxisp.train import AlignedPair, TrainConfig, align_dataset, evaluate_pairs, load_denoiser
-from jaxisp.train.finetune import beginning, fine_tune
+from jaxisp.train.finetune import beginning, clean_from, fine_tune
 from jaxisp.train.optimizer import make_optimizer
 from jaxisp.train.pool import PairPool
 from jaxisp.train.step import init_state, make_step, split_model, weights
@@ -78,7 +78,10 @@ def adapted(data: Path, work: Path, camera: str, steps: int, draws: int) -> tupl
         result = adapt(folder, draws=draws, seed=SEED, tick=_tick)
         found.write_bytes(pickle.dumps(result))
     result = pickle.loads(found.read_bytes())
-    fine_tune(result.recipe, run / "noisy", run / "run", drawn=DRAWN, steps=steps, seed=SEED, tick=_tick)
+    clean = clean_from(run / "noisy", run / "run" / "clean")
+    fine_tune(
+        result.recipe, clean, run / "run", downsample=1, drawn=DRAWN, steps=steps, seed=SEED, tick=_tick
+    )
     kept = {"effects": result.effects, "strange": result.strange, "crops": result.crops}
     return load_denoiser(run / "run", "last")[0], kept
 

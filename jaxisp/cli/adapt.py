@@ -72,7 +72,7 @@ def run(arguments: Namespace) -> int:
     from jaxisp.data.procedural import DRAWN
     from jaxisp.io.files import filled_file, filled_folder, find_images
     from jaxisp.recipes import PHASES
-    from jaxisp.train.finetune import beginning, fine_tune
+    from jaxisp.train.finetune import beginning, clean_from, fine_tune
 
     pictures = find_images([*arguments.noisy, *(arguments.clean or [])], recursive=True)
     find = _from_pairs if _are_pairs(arguments) else _from_pictures
@@ -90,9 +90,15 @@ def run(arguments: Namespace) -> int:
     result = None
     if arguments.folder:
         with progress("training") as tick:
+            clean, drawn, factor = arguments.clean, 0, arguments.downsample
+            if not clean:
+                folder = os.path.join(arguments.folder, "clean")
+                clean = clean_from(
+                    arguments.noisy, folder, start=arguments.start, downsample=factor, tick=tick
+                )
+                drawn, factor = DRAWN, 1
             result = fine_tune(
-                arguments.out, arguments.clean or arguments.noisy, arguments.folder, start=arguments.start,
-                downsample=arguments.downsample, drawn=0 if arguments.clean else DRAWN,
+                arguments.out, clean, arguments.folder, start=arguments.start, downsample=factor, drawn=drawn,
                 steps=arguments.steps or STEPS, seed=arguments.seed, tick=tick,
             )  # fmt: skip
     if arguments.json:

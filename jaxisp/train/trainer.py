@@ -144,10 +144,12 @@ class _Run:
         self.metrics = metrics
         self.mesh = make_mesh(config.batch)
         self.model = build_model(config)
-        images = load_clean(
-            config.clean, patch=config.patch, downsample=config.downsample,
-            per_image=config.per_image, seed=config.seed, tick=tick,
-        )  # fmt: skip
+        images = CleanImages((), ())
+        if config.clean or not config.drawn:
+            images = load_clean(
+                config.clean, patch=config.patch, downsample=config.downsample,
+                per_image=config.per_image, seed=config.seed, tick=tick,
+            )  # fmt: skip
         if config.drawn:
             images = images.joined(drawn_images(config.drawn, config.seed, max(256, config.patch)))
         self.images = images
@@ -285,7 +287,8 @@ class _Run:
         if self.log:
             self.log.close()
             count, drawn = len(self.images.names) - self.config.drawn, self.config.drawn
-            data = f"{count} files of {', '.join(self.config.clean)}" + f", and {drawn} drawn" * bool(drawn)
+            told = [f"{count} files of {', '.join(self.config.clean)}"] if count else []
+            data = ", and ".join([*told, f"{drawn} drawn"] if drawn else told)
             write_card(self.run, self.config, self.recipe, result.as_dict(), data)
         return result
 
