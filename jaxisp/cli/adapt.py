@@ -110,6 +110,7 @@ def run(arguments: Namespace) -> int:
         if result:
             state = "done" if result.finished else "stopped; the same command goes on with it"
             say(f"{result.run}: {result.step} steps, {state}; jaxisp denoise --run {result.run} ...")
+            say("compare it with the package's own network (without --run) before you rely on it")
     report_failures(skipped)  # a warning each: the rest was used
     if result is None or result.finished:
         return 0
