@@ -268,7 +268,7 @@ class Shuffle(Row):
         priority = entry(params, self.name, Order).priority
         if priority.shape != (len(self.nodes),):
             raise TypeError(f"{self.name!r} orders {len(self.nodes)} nodes, got priorities {priority.shape}")
-        branches = [functools.partial(node.apply, params, key=key, extent=extent) for node in self.nodes]
+        branches = [functools.partial(node.in_frame, params, key=key, extent=extent) for node in self.nodes]
 
         def step(x: jax.Array, which: jax.Array) -> tuple[jax.Array, None]:
             return lax.switch(which, branches, x), None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from jaxisp.arrays.extents import has_room
 from jaxisp.frames import MOST_FRAMES, Frames, shared_frames
-from jaxisp.pipeline import Chain, Gate, Stage, run, stage
+from jaxisp.pipeline import Chain, Gate, Shuffle, Stage, run, stage
 from jaxisp.testing import smooth_image
 
 sides = st.integers(1, 700)
@@ -68,5 +68,6 @@ class Old(Stage):
 
 def test_a_node_of_ones_own_that_knows_no_frames_runs_alone():
     image = smooth_image((12, 14, 3))
-    chain = Chain((Gate(Old(stage("rounding").fn, "rounding")), stage("clip")), "own")
+    own = Shuffle((Gate(Old(stage("rounding").fn, "rounding")),), "order")
+    chain = Chain((own, stage("clip")), "own")
     np.testing.assert_allclose(run(chain, chain.init(), image), 1 - image, atol=0.51 / 255)
