@@ -26,7 +26,6 @@ from jaxisp.data.procedural import DRAWN, drawn_images
 from jaxisp.errors import InputError
 from jaxisp.io.files import find_images
 from jaxisp.io.images import read_with_header
-from jaxisp.io.jpeg import Jpeg
 from jaxisp.mixture import check_runs
 from jaxisp.models.cells import CELL, LEAST, cell_statistics, told_levels
 from jaxisp.models.levels import measured_map
@@ -154,11 +153,12 @@ def adapt(
         "patch": SIDE, "downsample": downsample, "per_image": per_image, "seed": seed,
     }  # fmt: skip
     given = None if clean is None else load_clean(clean, **options)
-    crops, files, skipped = _noisy_crops(noisy, per_image, rng)
+    crops, headers, skipped = _noisy_crops(noisy, per_image, rng)
     pictures = given or _smaller(noisy, **options).joined(drawn_images(DRAWN, seed))
     seen = _summaries(crops)
-    stated = _stated(recipe, laws, files)
-    found, now = [], recipe.override(stated)
+    stated = _stated(recipe, laws, headers)
+    begun = recipe.override(stated)
+    found, now = [], begun
     for i in range(ROUNDS):
         start, end = (draws * n // ROUNDS for n in (i, i + 1))
         made = [
@@ -173,7 +173,7 @@ def adapt(
         for (stage, field), share, values in zip(laws, told, np.split(found[-1].kept, ends, axis=1)):
             if share >= TOLD and field not in stated.get(stage, ()):
                 changed.setdefault(stage, {})[field] = _narrowed(laws[stage, field], values)
-        now = recipe.override(changed)
+        now = begun.override(changed)
     about = {"crops": len(crops), "draws": draws, "strange": round(strange, 3)}
     narrowed = dataclasses.replace(
         now,
@@ -193,6 +193,13 @@ def adapt(
     return Adaptation(narrowed, priors, len(crops), _in_units(found[-1].effects), strange, tuple(skipped))
 
 
+class _Header(NamedTuple):
+    """What a JPEG's header states: the libjpeg quality nearest to its tables, and its chroma sampling."""
+
+    quality: float
+    sampling: str
+
+
 def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
     """What is drawn, by stage and parameter; where a mosaic begins is no property of a camera's crops."""
     for stage, prior in recipe.prior.items():
@@ -203,23 +210,23 @@ def _laws(recipe: Recipe) -> Iterator[tuple[tuple[str, str], Distribution]]:
 
 
 def _stated(
-    recipe: Recipe, laws: Mapping[tuple[str, str], Distribution], files: Sequence[Jpeg | None]
+    recipe: Recipe, laws: Mapping[tuple[str, str], Distribution], headers: Sequence[_Header | None]
 ) -> dict[str, dict[str, Distribution]]:
     """What headers of JPEGs tell of the recipe's last compression: that there is one, its quality, and how
     chroma is sampled, where a stage of its own does that."""
-    known = [file for file in files if file is not None]
+    known = [header for header in headers if header is not None]
     last = [s for s in recipe.chain.stages() if s.fn.__name__ == "jpeg"][-1:]
-    if len(known) < len(files) or not last or (last[0].name, "quality") not in laws:
+    if len(known) < len(headers) or not last or (last[0].name, "quality") not in laws:
         return {}
-    quality = [float(file.quality) for file in known]
+    quality = [header.quality for header in known]
     found: dict[str, dict[str, Distribution]] = {
         last[0].name: {"quality": Uniform(min(quality), max(quality))},
         **{switch: {"on": Bernoulli(1.0)} for switch in _switches(recipe.chain, last[0].name)},
     }
-    sampling = [HALVED.get(file.subsampling, (0.0, 0.0)) for file in known]
+    sampling = [HALVED.get(header.sampling, (0.0, 0.0)) for header in known]
     chroma = [s for s in recipe.chain.stages() if s.fn.__name__ == "chroma_subsampling"][-1:]
     whole = last[0].options.get("subsampling") == "4:4:4"
-    if whole and chroma and {file.subsampling for file in known} <= {*HALVED, "4:4:4"}:
+    if whole and chroma and {header.sampling for header in known} <= {*HALVED, "4:4:4"}:
         halved = [own for own in sampling if any(own)]
         for switch in [*_switches(recipe.chain, chroma[0].name)][-1:]:
             found[switch] = {"on": Bernoulli(len(halved) / len(known))}
@@ -252,10 +259,10 @@ def _smaller(noisy: Any, **options: Any) -> CleanImages:
 
 def _noisy_crops(
     noisy: Any, per_image: int, rng: np.random.Generator
-) -> tuple[np.ndarray, list[Jpeg | None], list[tuple[str, str]]]:
-    """Crops, the files that they are of, and (file, reason) of what cannot be used."""
+) -> tuple[np.ndarray, list[_Header | None], list[tuple[str, str]]]:
+    """Crops, what the headers of their files state, and (file, reason) of what cannot be used."""
     crops: list[np.ndarray] = []
-    files: list[Jpeg | None] = []
+    headers: list[_Header | None] = []
     skipped: list[tuple[str, str]] = []
     for path in find_images(noisy, recursive=True):
         if path.stem.lower().endswith(".clean"):  # as a data set names it
@@ -270,13 +277,13 @@ def _noisy_crops(
             size = "x".join(map(str, image.shape[:2]))
             skipped.append((str(path), f"{path}: {size} px is smaller than a crop of {SIDE} px"))
             continue
-        files.append(file)
+        headers.append(None if file is None else _Header(float(file.quality), file.subsampling))
         room = np.asarray(image.shape[:2]) - SIDE
         corners = {tuple(8 * rng.integers(0, room // 8 + 1)) for _ in range(per_image)}  # on a JPEG's grid
         crops += [image[y : y + SIDE, x : x + SIDE] for y, x in sorted(corners)]
     if not crops:
         raise InputError(f"no picture can be used: {skipped[0][1]}" if skipped else "there are no pictures")
-    return np.stack(crops).astype(np.float32), files, skipped
+    return np.stack(crops).astype(np.float32), headers, skipped
 
 
 def _crop(images: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:

@@ -9,14 +9,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import jaxisp
-from jaxisp.adapt import _crop, _laws, _narrowed, _nearest, _ridge, _scaled, _stated, _values, adapt
+from jaxisp.adapt import _crop, _Header, _laws, _narrowed, _nearest, _ridge, _scaled, _stated, _values, adapt
 from jaxisp.cli import main
 from jaxisp.color import LUMA_601
 from jaxisp.data import downsample_linear
-from jaxisp.data.procedural import drawn
+from jaxisp.data.procedural import KINDS, drawn
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
-from jaxisp.io.jpeg import decode_jpeg, encode_jpeg
+from jaxisp.io.jpeg import write_jpeg
 from jaxisp.models import make_model, save_network
 from jaxisp.pipeline import Chain, stage
 from jaxisp.priors import Bernoulli, Choice, LogUniform, Normal, PowerUniform, Uniform
@@ -24,7 +24,6 @@ from jaxisp.recipe import Recipe
 from jaxisp.stages.blur import MotionBlur
 from jaxisp.stages.jpeg import Jpeg
 from jaxisp.stages.noise import GaussianNoise
-from jaxisp.testing import smooth_image
 from jaxisp.train.finetune import clean_from
 
 CAMERAS = Recipe(
@@ -186,8 +185,17 @@ def test_photographs_that_are_kept_as_crops(rng):
 
 
 def files(*named):
-    levels = np.rint(255 * smooth_image((48, 64, 3))).astype(np.uint8)
-    return [decode_jpeg(encode_jpeg(levels, quality, sampling), "a.jpg") for quality, sampling in named]
+    return [_Header(float(quality), sampling) for quality, sampling in named]
+
+
+def test_what_headers_state_is_in_the_narrowed_recipe(folders, tmp_path):
+    for i, path in enumerate(sorted((folders / "noisy").iterdir())):
+        write_jpeg(tmp_path / f"{i}.jpg", read_image(path), quality=(71, 75)[i % 2], subsampling="4:2:0")
+    found = adapt(tmp_path, CAMERAS, clean=folders / "clean", downsample=1, draws=128)
+    assert found.recipe.prior["jpeg"].quality == Uniform(71.0, 75.0)
+    noise, quality = found.priors
+    assert quality.after == Uniform(71.0, 75.0) and quality.told == 1.0
+    assert found.recipe.prior["gaussian_noise"].std == noise.after != noise.before
 
 
 def test_what_headers_state_is_taken_from_them():
@@ -216,20 +224,28 @@ def test_drawn_pictures_stand_beside_photographs_or_for_them(folders):
 
 
 def test_clean_pictures_are_made_of_noisy_ones(tmp_path, rng):
-    """Nearer to what is there than those made smaller alone; none of a pair's clean one, or a small one."""
-    (tmp_path / "noisy").mkdir()
-    clean = drawn("gradients", 1, 192)
-    noisy = np.clip(clean + 0.1 * rng.standard_normal(clean.shape), 0, 1).astype(np.float32)
-    for name, picture in (("a.png", noisy), ("b.clean.png", clean), ("c.png", noisy[:100])):
-        write_png(tmp_path / "noisy" / name, picture)
-    (folder,) = clean_from(tmp_path / "noisy", tmp_path / "clean", downsample=2)
-    (made,) = (tmp_path / "clean").iterdir()
-    truth, alone = (downsample_linear(picture, 2) for picture in (clean, noisy))
-    assert np.std(read_image(made) - truth) < 0.6 * np.std(alone - truth)
-    assert clean_from(tmp_path / "noisy", folder, downsample=2) == [folder]
-    write_png(made, clean)
+    """Nearer to what is there than those made smaller alone, over all kinds: soft light most, leaves not.
+
+    None is made of a pair's clean picture, or of one that is small.
+    """
+    source = tmp_path / "noisy"
+    source.mkdir()
+    clean = [drawn(kind, 1, 192) for kind in KINDS]
+    noisy = [(c + 0.1 * rng.standard_normal(c.shape)).clip(0, 1).astype(np.float32) for c in clean]
+    for i, picture in enumerate(noisy):
+        write_png(source / f"{i}.png", picture)
+    write_png(source / "b.clean.png", clean[0])
+    write_png(source / "c.png", noisy[0][:100])
+    (folder,) = clean_from(source, tmp_path / "clean", downsample=2)
+    made = sorted((tmp_path / "clean").iterdir())
+    truth, alone = ([downsample_linear(picture, 2) for picture in own] for own in (clean, noisy))
+    denoised = [np.std(read_image(path) - own) for path, own in zip(made, truth, strict=True)]
+    smaller = [np.std(picture - own) for picture, own in zip(alone, truth)]
+    assert np.mean(denoised) < np.mean(smaller) and denoised[-1] < 0.6 * smaller[-1]
+    assert clean_from(source, folder, downsample=2) == [folder]
+    write_png(made[0], clean[0])
     with pytest.raises(InputError, match="stands there already and would be replaced"):
-        clean_from(tmp_path / "noisy", folder, downsample=2)
+        clean_from(source, folder, downsample=2)
 
 
 def test_clean_pictures_of_pairs_are_passed_over(folders, tmp_path):
@@ -258,6 +274,14 @@ def test_what_cannot_be_used_is_told(folders, tmp_path):
     fixed = CAMERAS.override(gaussian_noise={"std": 0.1}, jpeg={"quality": 90.0})
     with pytest.raises(InputError, match="draws no parameter"):
         adapt(folders / "noisy", fixed, clean=folders / "clean", draws=64)
+
+
+def test_a_data_set_that_is_damaged_is_not_taken_for_pictures(folders, tmp_path, capsys):
+    for name in ("0.noisy.png", "0.clean.png"):
+        shutil.copy(folders / "noisy" / "0.png", tmp_path / name)
+    (tmp_path / "dataset.toml").write_text("iso = [")
+    assert main(["adapt", str(tmp_path), "-o", str(tmp_path / "out.toml")]) == 2
+    assert "dataset.toml" in capsys.readouterr().err
 
 
 def test_the_command_refuses_before_it_draws(folders, tmp_path, capsys):

@@ -124,10 +124,10 @@ def _are_pairs(arguments: Namespace) -> bool:
 
     if len(arguments.noisy) > 1 or not os.path.isdir(arguments.noisy[0]):
         return False
-    try:
-        return open_dataset(arguments.noisy[0]).kind == CLEAN_NOISY
-    except InputError:  # pictures that are no pairs
-        return False
+    names = os.listdir(arguments.noisy[0])
+    if not any(os.path.splitext(name)[0].lower().endswith(".clean") for name in names):
+        return False  # pictures alone, which need not be a data set
+    return open_dataset(arguments.noisy[0]).kind == CLEAN_NOISY
 
 
 def _from_pictures(arguments: Namespace, tick: Any) -> _Adapted:
