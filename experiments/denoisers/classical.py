@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import machine
+from experiments.denoisers.pairs import aligned
 from experiments.denoisers.report import save, tables
 from jaxisp.cli.devices import use_cores
 from jaxisp.models.apply import SHIPPED, shipped_denoiser
-from jaxisp.train import AlignedPair, Classical, align_dataset, evaluate_pairs
+from jaxisp.train import AlignedPair, Classical, evaluate_pairs
 from jaxisp.train.classical import METHODS
 
 SETS = {"iphone8": None, "polyu": 248, "sidd": 248}
@@ -33,10 +34,10 @@ FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0)
 
 def rows(data: Path, name: str, more: bool) -> list[dict[str, Any]]:
     """Figures of each denoiser on a set."""
-    pairs = _pairs(data / name, SETS[name], "channels")
+    pairs = aligned(data / name, SETS[name])
     made = [_row(NOISY, name, None, evaluate_pairs(lambda noisy: noisy, pairs))]
     if more:
-        whole = _pairs(data / name, SETS[name], "whole")
+        whole = aligned(data / name, SETS[name], "whole")
         title = f"{NOISY}, aligned as a whole"
         made.insert(0, _row(title, name, None, evaluate_pairs(lambda noisy: noisy, whole)))
     if (resources.files("jaxisp.models") / SHIPPED).is_file():
@@ -50,14 +51,6 @@ def rows(data: Path, name: str, more: bool) -> list[dict[str, Any]]:
             best = max(tried, key=lambda factor: tried[factor]["mean"]["psnr_fixed"])
             made.append(_row(f"{method}, best in hindsight", name, best, tried[best]))
     return made
-
-
-def _pairs(folder: Path, crop: int | None, align: Any) -> list[AlignedPair]:
-    failed: list[tuple[str, str]] = []
-    pairs = list(align_dataset(folder, crop=crop, align=align, failed=failed))
-    if failed:
-        raise SystemExit(f"{folder}: {failed[0][1]}")
-    return pairs
 
 
 def _measured(method: str, factor: float, pairs: Sequence[AlignedPair]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ import numpy as np
 from flax import nnx
 
 from benchmarks.machine import machine
+from experiments.denoisers.pairs import aligned
 from experiments.denoisers.report import save, tables
 from jaxisp.adapt import adapt
 from jaxisp.cli.devices import use_cores
@@ -30,7 +31,7 @@ from jaxisp.io import open_dataset
 from jaxisp.models import read_network
 from jaxisp.models.apply import Denoiser
 from jaxisp.process.cache import keep_compiled
-from jaxisp.train import AlignedPair, TrainConfig, align_dataset, evaluate_pairs, load_denoiser
+from jaxisp.train import AlignedPair, TrainConfig, evaluate_pairs, load_denoiser
 from jaxisp.train.finetune import beginning, clean_from, fine_tune
 from jaxisp.train.optimizer import make_optimizer
 from jaxisp.train.pool import PairPool
@@ -55,10 +56,7 @@ def pairs(data: Path, work: Path, name: str, side: int | None) -> list[AlignedPa
     """The aligned pairs of a set; kept on disk, as whole frames take minutes."""
     file = work / "aligned" / f"{name}-{side}.pickle"
     if not file.exists():
-        failed: list[tuple[str, str]] = []
-        made = list(align_dataset(data / name, crop=side, failed=failed))
-        if failed:
-            raise SystemExit(f"{name}: {failed[0][1]}")
+        made = aligned(data / name, side)
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(pickle.dumps(made))
     return pickle.loads(file.read_bytes())
@@ -90,20 +88,22 @@ def on_real_pairs(learned: list[AlignedPair], folder: Path, steps: int) -> Denoi
     """The network trained further on patches of real pairs, in the noisy picture's tone."""
     with beginning() as (start, about):
         model, _ = read_network(start)
-    config = TrainConfig(clean=(), recipe="clean", batch=16, patch=64, steps=steps, lr=3e-4, loss="log_rms")
+    config = TrainConfig(clean=(), recipe="awgn", batch=16, patch=64, steps=steps, lr=3e-4, loss="log_rms")
     rng = np.random.default_rng(SEED)
 
     def make(indices: range) -> tuple[Any, Any]:
         return tuple(map(np.stack, zip(*[_patch(learned, rng, config.patch) for _ in indices])))
 
-    pool = PairPool(folder / "pool", config.patch, min(8192, 16 * steps), make, batch=config.batch)
+    pool = PairPool(folder / "pool", config.patch, min(8192, config.batch * steps), make, batch=config.batch)
     optimizer = make_optimizer(config, max(1, len(pool) // config.batch))
     # its batches are pairs already, so the recipe degrades nothing
-    step = make_step(model, "awgn", optimizer, key=jax.random.key(SEED), loss=config.loss, ema=config.ema)
+    step = make_step(
+        model, config.recipe, optimizer, key=jax.random.key(SEED), loss=config.loss, ema=config.ema
+    )
     state = init_state(model, optimizer, ema=config.ema)
     for done in range(steps):
-        noisy, target = np.moveaxis(pool.batch(range(done * 16, done * 16 + 16)), 1, 0)
-        state, metrics = step(state, (noisy, target), done * 16)
+        noisy, target = np.moveaxis(pool.batch(range(done * config.batch, (done + 1) * config.batch)), 1, 0)
+        state, metrics = step(state, (noisy, target), done * config.batch)
         if (done + 1) % 100 == 0:
             _tick(done + 1, steps, f"real pairs, loss {float(metrics['loss']):.4f}")
     graph, _, _ = split_model(model, train=False)

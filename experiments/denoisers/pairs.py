@@ -13,6 +13,7 @@ from experiments.withheld.shoot import write
 from jaxisp.io import read_image
 from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 from jaxisp.train import AlignedPair, align_dataset
+from jaxisp.train.evaluate import Align
 
 REAL = {"iphone8": None, "polyu": 512, "sidd": 512}
 """Real pairs, and the side of the middle part that is used [px]."""
@@ -43,10 +44,15 @@ def _make(place: Place, name: str) -> list[AlignedPair]:
         return _cameras(place)
     if name == RAW:
         return _demosaicked(place)
+    return aligned(place.data / name, REAL[name])
+
+
+def aligned(folder: Path, crop: int | None, align: Align = "channels") -> list[AlignedPair]:
+    """The pairs of a set, aligned; ends the program where one cannot be."""
     failed: list[tuple[str, str]] = []
-    made = list(align_dataset(place.data / name, crop=REAL[name], failed=failed))
+    made = list(align_dataset(folder, crop=crop, align=align, failed=failed))
     if failed:
-        raise SystemExit(f"{name}: {failed[0][1]}")
+        raise SystemExit(f"{folder}: {failed[0][1]}")
     return made
 
 
