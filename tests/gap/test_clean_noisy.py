@@ -117,8 +117,9 @@ def test_the_simulator_with_the_cause_makes_pictures_as_the_cameras(cases, tmp_p
     parts = [(slice(None), slice(0, 24), slice(0, 24)), (slice(None), slice(52, 76), slice(52, 76))]
     fall = [np.log(x[parts[0]].mean() / x[parts[1]].mean()) for x in (made.mean(0), noisy, clean)]
     assert abs(fall[0] - fall[1]) < 0.04 < abs(fall[2] - fall[1])
-    fine = [(np.diff(x, 2, axis=-2)).std() for x in (made[0], noisy, made.mean(0))]
-    assert fine[0] == pytest.approx(fine[1], rel=0.1) and fine[2] < 0.9 * fine[1]
+    # the noise of either, about the mean of eight draws, whose own noise is in both
+    one, real = (np.diff(x - made[1:].mean(0), 2, axis=-2).std() for x in (made[0], noisy))
+    assert one == pytest.approx(real, rel=0.1)
 
 
 def test_the_command_adapts_to_pairs_through_the_diagnosis(cases, tmp_path, capsys, monkeypatch):
