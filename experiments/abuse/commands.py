@@ -28,6 +28,7 @@ COMMANDS = {
     "degrade": "degrade {data}/clean -o {out} --recipe awgn --count 10 --resume",
     "shards": "degrade {data}/clean -o {out} --recipe awgn --count 10 --shards 5",
     "train": f"train --clean {{data}}/clean -o {{out}} {_TRAIN}",
+    "adapt": "adapt {data}/photos -o {out}/a.toml --recipe awgn --downsample 1 --draws 64",
     "denoise": "denoise --run {data}/run {data}/clean -o {out}",
     "evaluate": "evaluate --run {data}/run {data}/noisy",
     "diagnose": "diagnose {data}/pairs -o {out}",
@@ -110,6 +111,9 @@ def _make_data(data: Path) -> None:
     for i in range(6):
         shape = (36, 48, 3) if i % 2 else (40, 32, 3)
         write_png(data / "clean" / f"photo {i}.png", np.random.default_rng(i).uniform(size=shape))
+    (data / "photos").mkdir()
+    for i in range(2):
+        write_png(data / "photos" / f"{i}.png", np.random.default_rng(i).uniform(size=(136, 144, 3)))
     (data / "pairs").mkdir()
     write_pairs(data / "pairs", PHONES["a"], list(scenes((96, 128)))[:2])
     flats, darks = sensor.frames(size=(128, 128))
