@@ -33,6 +33,8 @@ WHITE_BALANCE = "mosaic_white_balance"
 EXPOSURE = "exposure"
 COLOR_MATRIX = "color_matrix"
 DISPLAY = "display_range"
+FROM_FILE = (WhiteBalance, Exposure, ColorMatrix)
+"""Parameters that may be taken from a RAW file."""
 
 
 def standard_camera(demosaic: str = "demosaic_ahd") -> Recipe:
@@ -76,17 +78,21 @@ def shaded_mosaic(raw: Raw) -> np.ndarray:
 
 
 def params_for(camera: RecipeLike, raw: Raw) -> dict[str, Any]:
-    """The camera's parameters, with what the file states itself set from the file."""
+    """The camera's parameters, with what the file states itself set from the file.
+
+    The camera's `meta["from_file"]` lists the stages: white balances, exposures, colour matrices.
+    """
     camera = find_recipe(camera)
     params = dict(camera.prior)
-    from_file = camera.meta.get("from_file", [])
-    if WHITE_BALANCE in from_file:
-        gains = np.ones(3) if raw.white_balanced else np.asarray(raw.white_balance)
-        params[WHITE_BALANCE] = WhiteBalance(gains=np.asarray(gains, np.float32))
-    if EXPOSURE in from_file:
-        params[EXPOSURE] = Exposure(exposure_ev=np.float32(exposure_for_highlights(raw)))
-    if COLOR_MATRIX in from_file and raw.camera_to_srgb is not None:
-        params[COLOR_MATRIX] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))
+    for name in camera.meta.get("from_file", []):
+        own = params.get(name)
+        if isinstance(own, WhiteBalance):
+            gains = np.ones(3) if raw.white_balanced else np.asarray(raw.white_balance)
+            params[name] = WhiteBalance(gains=np.asarray(gains, np.float32))
+        elif isinstance(own, Exposure):
+            params[name] = Exposure(exposure_ev=np.float32(exposure_for_highlights(raw)))
+        elif isinstance(own, ColorMatrix) and raw.camera_to_srgb is not None:
+            params[name] = ColorMatrix(matrix=np.asarray(raw.camera_to_srgb, np.float32))
     return params
 
 

@@ -29,7 +29,7 @@ def add_commands(commands: Any) -> None:
         "--out",
         required=True,
         metavar="DIR",
-        help="output folder for report.json, report.html and, of clean+noisy pairs, simulator.toml",
+        help="output folder for report.json, report.html and, without --reference, simulator.toml",
     )
     command.add_argument(
         "--camera", metavar="CAMERA.toml", help="a fitted camera as the simulator (default: fit a plain one)"
@@ -85,7 +85,8 @@ def run(arguments: Namespace) -> int:
     if not arguments.json:
         say(f"{page} in {found.report['seconds']:.0f} s")
         if found.simulator is not None:
-            say(f"{page.with_name(SIMULATOR)}: the simulator with what was found, for degrade and train")
+            uses = "develop --camera" if found.report["kind"] == "raw+jpeg" else "degrade and train"
+            say(f"{page.with_name(SIMULATOR)}: the simulator with what was found, for {uses}")
     return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 

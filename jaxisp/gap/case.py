@@ -12,6 +12,7 @@ from jaxisp.gap.objective.protocol import Evidence, Point
 from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.pairs.pairs import Pairs
 from jaxisp.gap.pairs.scenes import Split
+from jaxisp.pipeline import Params, Stage
 
 Tick = Callable[[int, int, str], Any]
 """Told (done, total, text) as work goes on."""
@@ -80,6 +81,9 @@ class Case:
         floor_at: the floor, measured at a point; None where it is the same everywhere. What a file's
             compression takes of a soft picture is less than what it takes of a sharp one.
         reference_gap: what the base leaves on a reference set, where one was given: the floor is no lower.
+        encoder: the stage that rounds or compresses as the files' headers state, and its parameters; None
+            where the base has it.
+        from_file: nodes whose parameters each RAW file states.
         about: further facts on the base, for report.json.
     """
 
@@ -103,6 +107,8 @@ class Case:
     floor_ci: tuple[float, float] | None = None
     floor_at: Callable[[Point], Floor] | None = None
     reference_gap: float | None = None
+    encoder: tuple[Stage, Params] | None = None
+    from_file: tuple[str, ...] = ()
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property

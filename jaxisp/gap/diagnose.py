@@ -36,8 +36,9 @@ SIMULATOR = "simulator.toml"
 @dataclasses.dataclass(frozen=True, repr=False)
 class Diagnosis:
     """What was found. `report` is report.json; `pictures` shows one held-out pair, and how what is left in
-    all of them is spread over frequencies and neighbours. `simulator`, of clean+noisy pairs without a
-    reference, is the recipe with the causes: what `jaxisp degrade` and `train` take."""
+    all of them is spread over frequencies and neighbours. `simulator` is the base with the causes: a
+    camera, which `jaxisp develop` takes, of RAW+JPEG pairs, and of others a recipe for `degrade` and `train`.
+    It is None where a reference stands for the base."""
 
     report: dict[str, Any]
     pictures: dict[str, Any] = dataclasses.field(repr=False)

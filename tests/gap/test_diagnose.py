@@ -18,11 +18,14 @@ from scipy.ndimage import gaussian_filter
 from experiments.null_bank import beyond
 from experiments.withheld.scenes import scenes
 from experiments.withheld.shoot import write
+from jaxisp.camera import develop
 from jaxisp.cli import main
 from jaxisp.errors import InputError
 from jaxisp.gap import diagnose
 from jaxisp.gap.axes.null_bank import bank
 from jaxisp.gap.report.record import HIDDEN, NO_COLOURS
+from jaxisp.io import open_dataset
+from jaxisp.recipe import Recipe
 from tests.gap.schema import keeps_the_schema
 
 pytestmark = pytest.mark.optimised
@@ -135,6 +138,17 @@ def test_grey_scenes_are_said_to_show_no_colour(diagnosed, tmp_path):
 def _not_identifiable(report) -> set[str]:
     """Effects that the pairs cannot show or say nothing of."""
     return {r["effect"] for r in report["ranking"] if r.get("reason") in (HIDDEN, NO_COLOURS)}
+
+
+def test_with_the_cause_raw_files_are_developed_as_by_the_camera(commanded):
+    simulator = commanded.out / "simulator.toml"
+    assert Recipe.load(simulator).meta["causes"] == ["vignetting"]
+
+    def left(camera):
+        pairs = [pair.load() for pair in open_dataset(commanded.folder).pairs]
+        return np.mean([(255 * (develop(p.raw, camera) - p.picture)) ** 2 for p in pairs])
+
+    assert left(simulator) < 0.4 * left(Recipe.load(simulator).without("vignetting"))
 
 
 def test_the_command_writes_both_files(commanded):

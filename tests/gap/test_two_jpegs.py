@@ -1,6 +1,9 @@
 """JPEG+JPEG pairs: what takes the first picture of each pair to the second."""
 
+import io
+
 import cv2
+import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -10,6 +13,7 @@ from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, diagnose
 from jaxisp.gap.base.two_jpegs import jpeg_case
 from jaxisp.gap.pairs.read import aligned_pairs
+from jaxisp.gap.report.simulator import simulator_of
 from jaxisp.gap.search.verdict import searched
 from jaxisp.io import open_dataset
 from tests.gap.schema import keeps_the_schema
@@ -40,6 +44,18 @@ def write(folder, change, count=4, size=96, quality=(95, 92)):
     return folder
 
 
+def stored(pictures, quality=92):
+    """What a JPEG leaves of pictures."""
+    found = []
+    for picture in pictures:
+        file = io.BytesIO()
+        Image.fromarray(np.rint(255 * picture).astype(np.uint8)).save(
+            file, "JPEG", quality=quality, subsampling=0
+        )
+        found.append(np.asarray(Image.open(file), np.float32) / 255)
+    return np.stack(found)
+
+
 def case_of(folder, *effects):
     kept = aligned_pairs(open_dataset(folder)).kept
     return jpeg_case(kept, sorted(set(EFFECTS) - set(effects)), lambda *_: None)
@@ -55,6 +71,13 @@ def test_what_changed_is_named(tmp_path, effect, change):
     found = searched(case, case.gap(), lambda *_: None)
     assert [t.effect for t, _ in found.causes][:1] == [effect]
     assert found.causes[0][0].closed > 0.85
+    recipe = simulator_of(case, found.point, [effect])
+    pairs = [pair.load() for pair in open_dataset(tmp_path).pairs]
+    first, second = (np.stack([getattr(p, name) for p in pairs]) for name in ("clean", "picture"))
+    made = np.asarray(recipe.degrade(jax.random.key(0), first)[0])
+    # as near as the change itself, stored by Pillow; it has the first file's compression to change too
+    own, right = (((x - second) ** 2).mean() for x in (made, stored([*map(change, first)])))
+    assert own < 1.1 * right
     assert case.about["headers"]["subsampling"] == ["4:4:4", "4:4:4"]
     assert case.about["headers"]["quality"][1] == pytest.approx(92, abs=1)
 

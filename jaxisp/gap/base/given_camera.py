@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.camera import WHITE_BALANCE, with_cfa
+from jaxisp.camera import with_cfa
 from jaxisp.gap.base.given import GivenBase, Open, believed
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, renamed, with_file
 from jaxisp.gap.base.mean import MeanFit
@@ -57,9 +57,10 @@ def of_camera(recipe: Recipe, effects: Sequence[Effect], mean: MeanFit) -> tuple
     chain = with_choice(Chain((*_scene().nodes, *sensor, *nodes), recipe.name))
     params, opened = believed(recipe, names, chain.init())
     params = params | tables
-    if WHITE_BALANCE in recipe.meta.get("from_file", []):
-        gains = np.array([plain.gains[0], 1, plain.gains[1]], np.float32)
-        params[names.get(WHITE_BALANCE, WHITE_BALANCE)] = WhiteBalance(gains=gains)
+    gains = np.array([plain.gains[0], 1, plain.gains[1]], np.float32)
+    for name in recipe.meta.get("from_file", []):
+        if isinstance(recipe.prior.get(name), WhiteBalance):
+            params[names.get(name, name)] = WhiteBalance(gains=gains)
     absorbed = _ABSORBED if noisy else (*_ABSORBED, "noise_level")
     if not noisy:
         params[_NOISE] = BalancedNoise(red_gain=np.float32(1), blue_gain=np.float32(1))

@@ -12,7 +12,8 @@ from jaxisp.errors import InputError
 from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
-from jaxisp.gap.base.plain_raw import Base, raw_model
+from jaxisp.gap.base.plain_clean import encoder_of
+from jaxisp.gap.base.plain_raw import Base, raw_model, stated_gains
 from jaxisp.gap.base.reference import OnReference, on_reference
 from jaxisp.gap.case import Case, Floor, Gap, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
@@ -178,6 +179,8 @@ def raw_case(
         offered=[name for name in model.effects if name not in apart],
         stored=None if "film_grain" in exclude else stored,
         given=_given(camera, bool(reference)),
+        encoder=encoder_of(file),
+        from_file=() if camera is None and stated_gains(raws_of(loaded)[0]) is None else (*model.per_pair,),
         about=about,
         reference_gap=left,
         seen=seen,

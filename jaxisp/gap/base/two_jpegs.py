@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.color import linear_to_srgb
+from jaxisp.gap.base.plain_clean import encoder_of
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
@@ -75,7 +76,8 @@ def jpeg_case(
         floors=objective.mean_squares(stored * objective.weight), absorbed={},
         offered=[name for name in model.effects if name not in stated],
         stored=None if "film_grain" in exclude else stored,
-        given="the first picture of each pair", seen=seen, about={"headers": _headers(first, second)},
+        given="the first picture of each pair", seen=seen, encoder=encoder_of(second),
+        about={"headers": _headers(first, second)},
     )  # fmt: skip
 
 
