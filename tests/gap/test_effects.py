@@ -89,10 +89,13 @@ _WAYS = {
     "resampling": ("shares",),
     "chroma_subsampling": ("sampled", "repeated"),
     "local_tone_mapping": ("sigma", "edges", "clip"),
-    "sharpening": ("threshold", "limit"),
+    "sharpening": ("sigma", "threshold", "limit"),
 }
 """Of what another move does: the first, unless it is named below."""
-_DONE_BY = {"clip": "equalization"}
+_DONE_BY = {
+    ("local_tone_mapping", "clip"): "equalization",
+    ("sharpening", "sigma"): "deconvolution",
+}
 
 
 @pytest.mark.optimised
@@ -107,7 +110,9 @@ def test_every_move_shows(model):
         start = before
         if coordinate.move.field in _WAYS.get(coordinate.node, ()):
             own = model.indices([coordinate.node])
-            done_by = _DONE_BY.get(coordinate.move.field, model.coordinates[own[0]].move.field)
+            done_by = _DONE_BY.get(
+                (coordinate.node, coordinate.move.field), model.coordinates[own[0]].move.field
+            )
             first = next(k for k in own if model.coordinates[k].move.field == done_by)
             z[first] = min(0.5, model.ranges[1, first])
             start = model.render(z, light)
@@ -121,6 +126,7 @@ def test_a_name_does_not_contradict_its_parameters():
         ("luma_denoising", "shares"),
         ("chroma_denoising", "shares"),
         ("sharpening", "amounts"),
+        ("sharpening", "deconvolution"),
     ):
         assert all(m.low >= 0 for m in EFFECTS[name].moves if m.field == field)
 
