@@ -171,8 +171,8 @@ row(
 # %%
 row(
     "bilateral", "median", "wavelet_coring", "luma_denoising", "chroma_denoising",
-    "color_difference_median", "unsharp_mask", "sharpening", "resampling", "resize", "film_grain",
-    "rounding", "jpeg", "jpeg_photoshop", "jpeg_tables", "earlier_compression",
+    "color_difference_median", "unsharp_mask", "richardson_lucy", "sharpening", "resampling", "resize",
+    "film_grain", "rounding", "jpeg", "jpeg_photoshop", "jpeg_tables", "earlier_compression",
     "chroma_subsampling",
 )  # fmt: skip
 

@@ -31,6 +31,7 @@ SMALL = {
     "unsharp_mask": {"radius": 3},
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},
+    "richardson_lucy": {"iterations": 2, "radius": 2},
 }
 OPTIONS = {
     "bilateral": {"iterations": [1, 2]},
@@ -46,6 +47,7 @@ OPTIONS = {
     "jpeg_tables": {"subsampling": ["4:2:0"], "column_phase": [0, 11]},
     "median": {"footprint": ["cross", "5x5"], "iterations": [1, 3]},
     "nonlocal_means": {"search": [2, 4], "patch": [0, 2]},
+    "richardson_lucy": {"iterations": [1, 3]},
 }
 """Options that may change how far a stage looks; each combination is tried, in `make test` the ends."""
 

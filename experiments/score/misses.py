@@ -1,6 +1,7 @@
 """Where a diagnosis of cameras of others fails: each case of the score's whose effect is not named first.
 
     python -m experiments.score.misses docs/results/score-cases.json
+    python -m experiments.score.misses docs/results/misses-again.json --all
 
 The cases keep what the search found when they ran; the probabilities are those of the score as it stands.
 """
@@ -21,6 +22,7 @@ SCREENED = "screening preferred others: it was not refitted"
 BEHIND = "refitted, and another closes more"
 DOUBTED = "closes most, and is not probable enough"
 OTHER_FIRST = "closes most, and another is named"
+NAMED = "named first"
 
 
 def likely(record: Record) -> dict[str, float]:
@@ -29,35 +31,36 @@ def likely(record: Record) -> dict[str, float]:
     return {e: score.probability(kinds[e], own) for e, own in record["signs"].items()}
 
 
-def miss(record: Record) -> list[object] | None:
-    """Of a case whose effect is not named first: the row of the table; None of others."""
-    if not record["truth"]:
-        return None
+def row_of(record: Record) -> list[object]:
+    """A case's row of the table; at its end what became of its effect."""
     right, found, closed = record["truth"][0].split("|"), likely(record), record["closed"]
     least = CRITERIA[record["kind"]].named
     ranked = sorted(closed, key=lambda e: -closed[e])
     named = [e for e in ranked if e in record["found"] and found.get(e, 0.0) >= least]
-    if named and named[0] in right:
-        return None
     own = next((e for e in ranked if e in right), None)
     size = record["gap"]["before"] / record["gap"]["floor"]
     head = [record["name"].removeprefix("develop "), right[0], f"{size:.1f}"]
     if own is None:
         return [*head, "", "", f"{ranked[0]} {closed[ranked[0]]:.2f}", SCREENED]
     why = BEHIND if ranked[0] != own else OTHER_FIRST if named else DOUBTED
+    why = NAMED if named and named[0] in right else why
     others = [e for e in ranked if e != own]
     first = f"{others[0]} {closed[others[0]]:.2f}" if others else ""
     return [*head, f"{closed[own]:.2f}", f"{found[own]:.2f}", first, why]
 
 
-def rows(records: Sequence[Record]) -> list[list[object]]:
-    return [row for record in records if record["group"] == "third party" and (row := miss(record))]
+def rows(records: Sequence[Record], every: bool = False) -> list[list[object]]:
+    """Of the cases whose effect is not named first, or of every case that has an effect."""
+    found = [row_of(r) for r in records if r["group"] == "third party" and r["truth"]]
+    return [row for row in found if every or row[-1] != NAMED]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", type=Path)
-    found = rows(json.loads(parser.parse_args().cases.read_text())["cases"])
+    parser.add_argument("--all", action="store_true", help="those that are named first, too")
+    asked = parser.parse_args()
+    found = rows(json.loads(asked.cases.read_text())["cases"], asked.all)
     print(table(["case", "truth", "floors", "closed", "probability", "most of others", "why"], found))
     print(table(["why", "cases"], Counter(str(row[-1]) for row in found).most_common()))
 

@@ -23,6 +23,8 @@ from jaxisp.stages.denoise.guided import guided_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.stages.denoise.nonlocal_means import nonlocal_planes
 from jaxisp.stages.denoise.wavelet import core_plane
+from jaxisp.stages.detail import deconvolved
+from jaxisp.stages.transfer import srgb_eotf, srgb_oetf
 
 Filter = Callable[[jax.Array, jax.Array], jax.Array]
 """Of a plane, and of the luma beside it."""
@@ -145,13 +147,21 @@ def _mixed(plane: jax.Array, luma: jax.Array, shares: jax.Array, filters: tuple[
 _FLAT = 1e-10  # of white squared: keeps the share of no detail at all finite
 WIDTHS = (0.7, 1.5, 3.0)
 """Standard deviations of the masks of `sharpening` [px]."""
+_ITERATIONS, _REACH = 8, 5
+_DARKEST = 1e-3  # of encoded white
 
 
 @parameters
 class Sharpening:
-    """The amount of each width, and which detail it is for."""
+    """The amount of each form, and which detail it is for."""
 
     amounts: Leaf = param((0.0,) * len(WIDTHS), (-0.5, 4.0), "1", doc="of masks of 0.7, 1.5 and 3 px")
+    deconvolution: Leaf = param(
+        (0.0, 0.0), (-0.5, 3.0), "1", doc="of Richardson-Lucy deconvolution, encoded and in linear light"
+    )
+    sigma: Leaf = param(
+        0.7, (0.1, 1.6), "px", log=True, doc="standard deviation of the blur that deconvolution undoes"
+    )
     threshold: Leaf = param(
         0.0, (0.0, 0.1), "level", doc="detail of this size is added by half, less by less"
     )
@@ -162,33 +172,59 @@ class Sharpening:
 
 @register
 def sharpening(params: Sharpening, image: EncodedRGB) -> EncodedRGB:
-    """Unsharp masks of three widths on luma, cored and limited.
+    """Unsharp masks of three widths and deconvolution on luma, cored and limited.
 
-    `y = x + sum_k amount_k d_k d_k**2 / (d_k**2 + threshold**2) / (1 + (limit d_k)**2)` with
-    `d_k = Y - G_k(Y)`, G_k a Gaussian; the same is added to every channel.
+    `y = x + sum_k amount_k d_k d_k**2 / (d_k**2 + threshold**2) / (1 + (limit d_k)**2)`, the same for every
+    channel. Of masks `d_k = Y - G_k(Y)`, G_k a Gaussian. Of deconvolution d_k is what eight iterations of
+    `richardson_lucy` change of luma, as it is encoded or in linear light.
 
     Args:
-        params: amounts; threshold and limit, which leave plain masks where they are 0.
+        params: amounts; the width of deconvolution; threshold and limit, which leave plain forms where they
+            are 0.
         image: (H, W, 3) encoded, any range.
 
     Returns:
-        (H, W, 3) encoded, not clipped.
+        (H, W, 3) encoded, not clipped. A form whose amount is 0 is not run.
 
     Gradient: exact.
 
-    Source: Polesel, Ramponi & Mathews 2000; see `unsharp_mask`. Coring and a limit of the halo are what
-    cameras and converters commonly add.
+    Source: Polesel, Ramponi & Mathews 2000; see `unsharp_mask`. Richardson 1972; Lucy 1974; see
+    `richardson_lucy`. Coring and a limit of the halo are what cameras and converters commonly add.
     """
     y = luma(*planes(image))
     change = jnp.zeros_like(y)
     for amount, sigma in zip(params.amounts, WIDTHS):
         add = partial(_detail, sigma)
         change = change + weighted(add, amount, params.threshold, params.limit, y)
+    for amount, sharpened in zip(params.deconvolution, (_deconvolved, _deconvolved_light)):
+        change = change + weighted(sharpened, amount, params.sigma, params.threshold, params.limit, y)
     return image + change[..., None]
 
 
 def _detail(sigma: float, threshold: jax.Array, limit: jax.Array, plane: jax.Array) -> jax.Array:
-    detail = materialize(plane - gaussian_blur(plane, sigma, math.ceil(3 * sigma)))
+    return _shaped(plane - gaussian_blur(plane, sigma, math.ceil(3 * sigma)), threshold, limit)
+
+
+def _deconvolved(sigma: jax.Array, threshold: jax.Array, limit: jax.Array, plane: jax.Array) -> jax.Array:
+    data = jnp.maximum(plane, _DARKEST)
+    return _shaped(_sharper(data, sigma) - data, threshold, limit)
+
+
+def _deconvolved_light(
+    sigma: jax.Array, threshold: jax.Array, limit: jax.Array, plane: jax.Array
+) -> jax.Array:
+    data = jnp.maximum(plane, _DARKEST)
+    found = srgb_oetf(_sharper(materialize(srgb_eotf(data)), sigma))
+    return _shaped(found - data, threshold, limit)
+
+
+@jax.jit  # traced once for both
+def _sharper(data: jax.Array, sigma: jax.Array) -> jax.Array:
+    return deconvolved(data, data, sigma, jnp.zeros_like(sigma), _ITERATIONS, _REACH)
+
+
+def _shaped(detail: jax.Array, threshold: jax.Array, limit: jax.Array) -> jax.Array:
+    detail = materialize(detail)
     square = detail * detail + _FLAT
     return detail * (square / (square + threshold * threshold)) / (1 + limit * limit * square)
 

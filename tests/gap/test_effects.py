@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from skimage.restoration import richardson_lucy
 
+from jaxisp.color import linear_to_srgb, luma, srgb_to_linear
 from jaxisp.errors import InputError
 from jaxisp.gap import EFFECTS, Effect, Move, parallel, register_effect
 from jaxisp.gap.criteria import CRITERIA
@@ -89,10 +91,13 @@ _WAYS = {
     "resampling": ("shares",),
     "chroma_subsampling": ("sampled", "repeated"),
     "local_tone_mapping": ("sigma", "edges", "clip"),
-    "sharpening": ("threshold", "limit"),
+    "sharpening": ("sigma", "threshold", "limit"),
 }
 """Of what another move does: the first, unless it is named below."""
-_DONE_BY = {"clip": "equalization"}
+_DONE_BY = {
+    ("local_tone_mapping", "clip"): "equalization",
+    ("sharpening", "sigma"): "deconvolution",
+}
 
 
 @pytest.mark.optimised
@@ -107,7 +112,9 @@ def test_every_move_shows(model):
         start = before
         if coordinate.move.field in _WAYS.get(coordinate.node, ()):
             own = model.indices([coordinate.node])
-            done_by = _DONE_BY.get(coordinate.move.field, model.coordinates[own[0]].move.field)
+            done_by = _DONE_BY.get(
+                (coordinate.node, coordinate.move.field), model.coordinates[own[0]].move.field
+            )
             first = next(k for k in own if model.coordinates[k].move.field == done_by)
             z[first] = min(0.5, model.ranges[1, first])
             start = model.render(z, light)
@@ -121,6 +128,7 @@ def test_a_name_does_not_contradict_its_parameters():
         ("luma_denoising", "shares"),
         ("chroma_denoising", "shares"),
         ("sharpening", "amounts"),
+        ("sharpening", "deconvolution"),
     ):
         assert all(m.low >= 0 for m in EFFECTS[name].moves if m.field == field)
 
@@ -222,6 +230,32 @@ def test_a_warp_of_several_pixels_is_found(name):
     parts = objective.units(at)[[1, 3]]
     found = refit(objective, at, name, Whole(float(parts.mean()), parts), Bars(0.0), CRITERIA[RAW_JPEG])
     assert found.z[first] == pytest.approx(z[first], rel=0.05) and found.closed > 0.9
+
+
+def test_a_deconvolution_by_others_is_closed_by_its_own_form():
+    """scikit-image's, of luma in linear light; masks stand in for a part of it."""
+    model, light = model_of([EFFECTS["sharpening"]]), mosaics()
+    z = np.zeros(len(model.coordinates))
+    pictures, sigma, margin = model.render(z, light).astype(float), 0.8, 12
+    taps = np.exp(-0.5 * (np.arange(-4, 5) / sigma) ** 2)
+    psf = np.outer(taps, taps) / taps.sum() ** 2
+    for picture in pictures:
+        y = luma(*np.moveaxis(picture, -1, 0))
+        wide = np.pad(srgb_to_linear(np.maximum(y, 1e-3)), margin, mode="reflect")
+        sharp = richardson_lucy(wide, psf, num_iter=15, clip=False)[margin:-margin, margin:-margin]
+        picture += (linear_to_srgb(sharp) - y)[..., None]
+    pairs = Pairs(("a", "b"), light, np.clip(pictures, 0, 1).astype(np.float32), np.ones(light.shape, bool))
+    objective = PixelObjective.of(pairs)
+    at = objective.at(model, z)
+    moves = {i: model.coordinates[i].move.field for i in model.indices(["sharpening"])}
+    masks = [i for i, field in moves.items() if field in ("amounts", "threshold", "limit")]
+    by_masks, by_all = (fit(objective, at, which, steps=6).point for which in (masks, list(moves)))
+    left = {"masks": by_masks.error / at.error, "all": by_all.error / at.error}
+    assert left["all"] < 0.1 and left["all"] < 0.4 * left["masks"], left
+    in_light = next(
+        i for i, c in enumerate(model.coordinates) if c.move.index == (1,) and c.move.field == "deconvolution"
+    )
+    assert by_all.z[in_light] > 0.3
 
 
 def test_refits_side_by_side_are_those_of_one_after_the_other(monkeypatch):

@@ -24,6 +24,7 @@ MEMBERS: dict[tuple[str, str], tuple[str, ...]] = {
         "guided by luma (4 px, 0.03 of white)", "wavelets (0.02 of white)",
     ),
     ("sharpening", "amounts"): tuple(f"mask of {width:g} px" for width in WIDTHS),
+    ("sharpening", "deconvolution"): ("encoded", "in linear light"),
     ("demosaicking", "shares"): tuple(DEMOSAICKERS),
     ("resampling", "shares"): (
         "bilinear down and bicubic up, not antialiased", "bicubic",

@@ -291,7 +291,8 @@ _add(
 )  # fmt: skip
 _add(
     "sharpening", stage("sharpening"), "encoded",
-    [*_entries("amounts", 3, 0.3, 0, 4), Move("threshold", 0.01, 0, 0.1), Move("limit", 15, 0, 100)],
+    [*_entries("amounts", 3, 0.3, 0, 4), *_entries("deconvolution", 2, 0.3, 0, 3),
+     Move("sigma", 0.1, -0.3, 0.8, off=0.7), Move("threshold", 0.01, 0, 0.1), Move("limit", 15, 0, 100)],
     "frequency edge", "local_tone_mapping optical_blur demosaicking",
 )  # fmt: skip
 _add(
