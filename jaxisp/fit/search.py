@@ -126,6 +126,8 @@ class Outcome:
     start: Params
     losses: list[tuple[str, float]]
     tried: list[tuple[str, float]]
+    slopes: Slopes | None = None
+    """At `state`, where the fit knew them last; without their Jacobians, which are large."""
 
 
 class Search:
@@ -295,7 +297,8 @@ class Search:
             now, known = self._run(f"{name} {turn}", fit, _again(now), steps, known)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS
-        return Outcome(design, fit, now, self.start, self.losses, self.tried)
+        slopes = known and known._replace(jacobians=None)
+        return Outcome(design, fit, now, self.start, self.losses, self.tried, slopes)
 
     def _demosaickers(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":

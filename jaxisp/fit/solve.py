@@ -27,7 +27,7 @@ FEWEST = 3  # surfaces whose scores tell how they vary
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
 CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
-WORTH = 2e-3  # of the objective, that such a step must gain
+WORTH = 2e-3  # of the objective, that a step must gain
 
 
 class Fit:
@@ -244,7 +244,7 @@ class Fit:
         state: State,
         steps: int,
         tick: Callable[[State], Any] = lambda state: None,
-        tolerance: float = 1e-3,
+        tolerance: float = WORTH,
         known: Slopes | None = None,
     ) -> tuple[State, Slopes | None]:
         """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective.
