@@ -123,7 +123,7 @@ class _Steps(NamedTuple):
         shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
         tail = model.back(self.problem.place, self.problem.inserted)
         images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
-        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
+        images = materialize(jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1))  # as every file is
         return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
 
 
