@@ -216,17 +216,19 @@ class Search:
     def _chosen(self) -> tuple[model.Design, State]:
         """The discrete choices, and where their trials ended.
 
-        A trial takes a few steps that only render, with the equations of a choice nearby: what is fitted
-        moves the picture almost alike after any demosaicker or median.
+        A trial takes a few steps that only render, with the equations of the first choice: what is fitted
+        moves the picture almost alike after any demosaicker. A median has its own: its strength moves, too.
         """
         best, state, known = self._first()
-        near = {best.median is not None: self._near(best, state, known)}
+        shared, own = self._near(best, state, known), best.median
         for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
             others = self._nearest(list(group(best)), state)
             if not others:
                 continue
-            near.setdefault(others[0].median is not None, self._near(others[0], state))
-            trials = {d: self._try(group.__name__, d, state, near) for d in [best, *others]}
+            trials = {}
+            for design in [best, *others]:
+                near = shared if design.median == own else self._near(design, state)
+                trials[design] = self._try(group.__name__, design, state, near)
             chosen = min(trials, key=lambda d: trials[d].objective)
             if trials[chosen].objective < GAIN * trials[best].objective:
                 best = chosen
@@ -240,8 +242,8 @@ class Search:
         objectives = {design: self._fit(design).objective(state) for design in designs}
         return sorted(designs, key=objectives.__getitem__)[:MOST_TRIALS]
 
-    def _near(self, design: model.Design, state: State, known: Slopes | None = None) -> "Near":
-        """The equations that trials go by: of a design with and one without a median, which has a column."""
+    def _near(self, design: model.Design, state: State, known: Slopes | None = None) -> Near:
+        """The equations that trials go by, where one is not in the journal."""
         return functools.cache(lambda: self._fit(design).equations(state, known))
 
     def _first(self) -> tuple[model.Design, State, Slopes | None]:
@@ -319,11 +321,11 @@ class Search:
             for size in model.MEDIANS[1:]:
                 yield dataclasses.replace(design, median=size)
 
-    def _try(self, group: str, design: model.Design, state: State, near: "dict[bool, Near]") -> State:
+    def _try(self, group: str, design: model.Design, state: State, near: Near) -> State:
         name = f"{group.strip('_')}: {design.text}"
         after, _ = self.journal.get(name)
         if after is None:
-            after = self._fit(design).beginning(_again(state), near[design.median is not None]())
+            after = self._fit(design).beginning(_again(state), near())
             self.journal.put(name, after, finished=True)
             self._note(name, after)
         self.tried.append((design.text, after.objective))
