@@ -22,15 +22,9 @@ from jaxisp.data.procedural import drawn
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.io.files import find_images
-from jaxisp.mixture import Mixture
 from jaxisp.models import save_network
 from jaxisp.models.files import read_arrays
-from jaxisp.pipeline import Chain, stage
-from jaxisp.priors import Bernoulli, LogUniform, Uniform
 from jaxisp.process.cache import keep_compiled
-from jaxisp.recipe import Recipe
-from jaxisp.recipes import any_camera, mix
-from jaxisp.stages.noise import GaussianNoise
 from jaxisp.train import TrainConfig, load_denoiser, train
 
 FREE = ("photos", "kodak")
@@ -44,31 +38,11 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 """Pictures of 512 px."""
 
 TRAINING: dict[str, Any] = {
-    "model": "levelnet", "target": "camera", "patch": 64, "batch": 16,
+    "recipe": "any-camera", "model": "levelnet", "target": "camera", "patch": 64, "batch": 16,
     "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
-    "pool": 126_976, "steps": 28_000, "lr": 1e-3, "ema": 0.999, "loss": "log_rms",
+    "pool": 45_056, "steps": 10_000, "lr": 1e-3, "ema": 0.999, "loss": "log_rms",
     "warmup": 300, "log_every": 100,
 }  # fmt: skip
-
-
-def recipe() -> Mixture:
-    """What is learned from: all cameras, and more of what they seldom make."""
-    # dim scenes, their noise made wide by what follows: else much noise is taken for less than it is
-    strong = any_camera().override(
-        use_camera={"on": 1.0},
-        use_gaussian_noise={"on": 0.0},
-        balanced_noise={"shot": LogUniform(0.003, 0.1), "read": LogUniform(0.003, 0.06)},
-        use_wide_filter={"on": Bernoulli(0.5)},
-        wide_filter={"sigma": Uniform(0.5, 1.4)},
-        use_resampling={"on": Bernoulli(0.5)},
-        resampling={"factor": LogUniform(1.2, 2.0)},
-    )
-    # of encoded values; that of `awgn` is of linear light
-    white = Recipe(
-        Chain((stage("gaussian_noise"), stage("clip"), stage("rounding")), "white-noise"),
-        {"gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.2))},
-    )
-    return mix({any_camera(): 0.7, strong.named("strong-noise"): 0.15, white: 0.15})
 
 
 def clean(data: Path, photos: list[Path], out: Path) -> None:
@@ -114,7 +88,7 @@ def _tiles(picture: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def configuration(work: Path, **changes: Any) -> TrainConfig:
-    return TrainConfig(clean=(str(work / "clean"),), recipe=recipe().name, **{**TRAINING, **changes})
+    return TrainConfig(clean=(str(work / "clean"),), **{**TRAINING, **changes})
 
 
 def export(run: Path, path: Path) -> None:
@@ -151,11 +125,7 @@ def main() -> None:
     changes = {"steps": options.steps} if options.steps else {}
     config = configuration(options.work, start=options.start, seed=options.seed, **changes)
     result = train(
-        config,
-        run,
-        recipe=recipe(),
-        resume=True,
-        tick=lambda done, total, text: print(done, total, text, flush=True),
+        config, run, resume=True, tick=lambda done, total, text: print(done, total, text, flush=True)
     )
     print(result.as_dict())
 
