@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxisp.camera import FROM_FILE
+from jaxisp.cfa import is_xtrans
 from jaxisp.gap.case import Case
 from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
@@ -78,17 +79,20 @@ def _alike(values: Any) -> bool:
 
 
 def _plain(node: Node, params: Params) -> Node | None:
-    """A node without its switch, None where that is off; of a choice of demosaickers the chosen one."""
+    """A node without its switch, None where that is off; of a choice of Bayer demosaickers the chosen one."""
     if isinstance(node, Gate):
         return node.node if float(params[node.name].on) > 0.5 else None
     own = params.get(node.name)
-    if isinstance(node, Stage) and isinstance(own, Demosaicking):
-        shares = np.asarray(own.shares)
-        if not shares.any():
-            return stage(DEMOSAICKERS[str(node.options["algorithm"])], cfa=node.options["cfa"])
-        if sorted(shares)[-2:] == [0, 1] and not shares.min() < 0:
-            return stage([*DEMOSAICKERS.values()][int(shares.argmax())], cfa=node.options["cfa"])
-    return node
+    if not (isinstance(node, Stage) and isinstance(own, Demosaicking)):
+        return node
+    cfa, alone = str(node.options["cfa"]), str(node.options["algorithm"])
+    if is_xtrans(cfa):
+        return node
+    shares = dict(zip(DEMOSAICKERS, np.asarray(own.shares)))
+    taken = [name for name, share in shares.items() if share] or [alone]
+    if len(taken) > 1 or shares[taken[0]] not in (0, 1):
+        return node
+    return stage(DEMOSAICKERS[taken[0]], cfa=cfa)
 
 
 def _within(params: Any) -> Any:
