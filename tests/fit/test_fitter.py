@@ -43,7 +43,8 @@ def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     assert pair.held_out_psnr > max(31.5, before + 4)
     assert abs(pair.held_out_psnr - pair.psnr) < 3
     assert np.abs(pair.shift).max() < 0.2
-    assert np.all(np.diff(result.losses[:10]) <= 0)
+    for phase in set(result.phases):  # each has its own scale
+        assert np.all(np.diff(result.losses[np.asarray(result.phases) == phase]) <= 0)
 
 
 def test_the_camera_file_renders_what_was_measured(folder, result, tmp_path):
