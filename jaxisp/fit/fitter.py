@@ -173,8 +173,7 @@ def _ahead(options: Options, shot: Shot, mesh: Mesh | None) -> list["Future[Any]
     """Begin to compile what the fit of a pair like this one needs, while others are still aligned."""
     return [
         ahead(lambda: compile_for(options.problem(shot.jpeg), mesh)),
-        ahead(lambda: with_source(shot.chunks[0], shot.cfa, options.first)),
-        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, d, once=True) for d in options.others]),
+        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, design) for design in options.designs]),
     ]
 
 
@@ -241,8 +240,7 @@ def _result(
     each = [canonical(_params(outcome, i)) for i in range(len(shots))]
     params = each[0] if len(each) == 1 or not outcome.fit.problem.layout.size(IMAGE) else mean_of(each)
     plain = outcome.fit.without_encoder()  # what it rounds is the noise that parameters are told in
-    known = None if plain.problem.encoder else outcome.slopes  # which are compared after the encoder
-    identified = standard_errors(plain, outcome.state, plain.equations(outcome.state, known))
+    identified = standard_errors(plain, outcome.state, plain.equations(outcome.state))
     unused = set(params) - set(model.fitted(outcome.design).init())
     identified = [_restated(p, params) for p in identified if p.name.split(".")[0] not in unused]
     own = {

@@ -17,7 +17,7 @@ from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.state import Equations, Slopes, State, View
+from jaxisp.fit.state import State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
 from jaxisp.params import map_specs
@@ -29,7 +29,8 @@ FAR, STRESSED = (
     2.0,
     4,
 )  # tolerances that all intensities together may be off, and by what else they weigh more
-MOST_TRIALS = 5  # of one kind of choice that get steps
+MOST_TRIALS = 5  # of one kind of choice that get a step
+TRIAL = 1  # steps that each discrete choice gets, the present one too: a second one changes no ranking
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
 FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
 START_STEPS = 4  # that each of several starts gets before one is chosen
@@ -37,7 +38,6 @@ SHOWS = 0.99  # of the objective, that the lens must reach
 COARSE = 4  # groups of tiles that the phases before the last one take, where there are so many
 
 Tick = Callable[[int, int, str], Any]
-Near = Callable[[], Equations]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,13 +101,12 @@ class Options:
         return Problem(self.place, Layout.of(start, flags), own[0] if own else None, self.inserted)
 
     @property
-    def others(self) -> list[model.Design]:
-        """Those that demosaick otherwise than the first and will be tried."""
+    def designs(self) -> list[model.Design]:
+        """Those that differ in how they demosaick."""
         if self.demosaic != "auto":
-            return []
+            return [self.first]
         plain = [dataclasses.replace(self.first, demosaic=name) for name in model.DEMOSAICKERS]
-        more = dataclasses.replace(self.first, passes=self.first.passes + 1)
-        return [design for design in (*plain, more) if design != self.first]
+        return [*plain, dataclasses.replace(self.first, passes=1)]
 
     @property
     def trials(self) -> int:
@@ -126,8 +125,6 @@ class Outcome:
     start: Params
     losses: list[tuple[str, float]]
     tried: list[tuple[str, float]]
-    slopes: Slopes | None = None
-    """At `state`, where the fit knew them last; without their Jacobians, which are large."""
 
 
 class Search:
@@ -160,7 +157,7 @@ class Search:
         """Where these shots start from."""
         self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
-        self._sources: dict[tuple[str, int, bool], tuple[View, ...]] = {}
+        self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
         self._done = 0
         self._scale: float | None = None
         begun = begin(self.views(self.options.first), self._stated_lens())
@@ -179,28 +176,22 @@ class Search:
     def settled(self, design: model.Design, name: str) -> Outcome:
         """The main phases with choices that are made, from a start of its own."""
         fit = self._fit(design)
-        state, _ = self._run(f"{name} first", fit, self.origin, min(self.options.steps, FIRST_STEPS))
+        state = self._run(f"{name} first", fit, self.origin, min(self.options.steps, FIRST_STEPS))
         return self.finish(design, state, name)
 
-    def views(self, design: model.Design, whole: bool = True) -> tuple[View, ...]:
-        """The tiles with the design's demosaicking, or some groups of them; those of the last few are kept.
-
-        Some groups are for trials: a program for them, other than the first design's, need not be quick.
-        """
-        first = self.options.first
-        key = design.demosaic, design.passes, whole
-        once = not whole and key[:2] != (first.demosaic, first.passes)
+    def views(self, design: model.Design) -> tuple[View, ...]:
+        """The tiles with the design's demosaicking; those of the last few designs are kept."""
+        key = design.demosaic, design.passes
         if key not in self._sources:
             while len(self._sources) > 1:
                 self._sources.pop(next(iter(self._sources)))
-            counts = [len(shot.chunks) for shot in self.shots] if whole else self._coarse()
             self._sources[key] = tuple(
                 View(
-                    tuple(with_source(c, shot.cfa, design, once=once) for c in shot.chunks[:count]),
+                    tuple(with_source(c, shot.cfa, design) for c in shot.chunks),
                     shot.geometry,
                     self._encoder(shot.jpeg),
                 )
-                for shot, count in zip(self.shots, counts)
+                for shot in self.shots
             )
         return self._sources[key]
 
@@ -211,29 +202,17 @@ class Search:
 
     def run(self) -> Outcome:
         """All phases."""
-        return self.finish(*self._chosen())
-
-    def _chosen(self) -> tuple[model.Design, State]:
-        """The discrete choices, and where their trials ended.
-
-        A trial takes a few steps that only render, with the equations of the first choice: what is fitted
-        moves the picture almost alike after any demosaicker. A median has its own: its strength moves, too.
-        """
-        best, state, known = self._first()
-        shared, own = self._near(best, state, known), best.median
+        best, state = self._first()
         for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
             others = self._nearest(list(group(best)), state)
             if not others:
                 continue
-            trials = {}
-            for design in [best, *others]:
-                near = shared if design.median == own else self._near(design, state)
-                trials[design] = self._try(group.__name__, design, state, near)
+            trials = {d: self._try(group.__name__, d, state) for d in [best, *others]}
             chosen = min(trials, key=lambda d: trials[d].objective)
             if trials[chosen].objective < GAIN * trials[best].objective:
                 best = chosen
             state = trials[best]
-        return best, state
+        return self.finish(best, state)
 
     def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
         """Of many choices those that are nearest to the pictures before any step."""
@@ -242,26 +221,19 @@ class Search:
         objectives = {design: self._fit(design).objective(state) for design in designs}
         return sorted(designs, key=objectives.__getitem__)[:MOST_TRIALS]
 
-    def _near(self, design: model.Design, state: State, known: Slopes | None = None) -> Near:
-        """The equations that trials go by, where one is not in the journal."""
-        return functools.cache(lambda: self._fit(design).equations(state, known))
-
-    def _first(self) -> tuple[model.Design, State, Slopes | None]:
-        """Everything with plain choices; the lens only where the alignment found one, or where it shows.
-
-        The slopes, too, where they are known.
-        """
+    def _first(self) -> tuple[model.Design, State]:
+        """Everything with plain choices; the lens only where the alignment found one, or where it shows."""
         steps = min(self.options.steps, FIRST_STEPS)
         design = dataclasses.replace(self.options.first, sampling=not self.stated)
         bent = dataclasses.replace(design, lens=True)
         if float(self._stated_lens().k1):
             fit = self._fit(bent)
-            return bent, *self._run("first", fit, self._begun(fit), steps)
+            return bent, self._run("first", fit, self._begun(fit), steps)
         fit = self._fit(design)
-        state, known = self._run("first", fit, self._begun(fit), steps)
-        tried, slopes = self._run("lens", self._fit(bent), _again(state), min(steps, LENS_STEPS))
+        state = self._run("first", fit, self._begun(fit), steps)
+        tried = self._run("lens", self._fit(bent), _again(state), min(steps, LENS_STEPS))
         shows = tried.objective < SHOWS * state.objective and self._bends(tried)
-        return (bent, tried, slopes) if shows else (design, state, known)
+        return (bent, tried) if shows else (design, state)
 
     def _begun(self, fit: Fit) -> State:
         """Where the first phase begins: of several starts the one that a few steps take furthest."""
@@ -269,7 +241,7 @@ class Search:
             return self.origin
         steps, ends = min(self.options.steps, START_STEPS), []
         for i, own in enumerate(model.starts()[: self.options.starts]):
-            ends.append(self._run(f"start {i + 1}", fit, self._origin(self.start | own), steps)[0])
+            ends.append(self._run(f"start {i + 1}", fit, self._origin(self.start | own), steps))
             self.tried.append((f"start {i + 1}", ends[-1].objective))
         return _again(min(ends, key=lambda end: end.objective))
 
@@ -288,19 +260,15 @@ class Search:
         Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
-        fit = self._fit(design, whole=True, now=state)
-        known: Slopes | None = fit.slopes(state)
-        patches = fit.patches_at(state, known)
+        patches = self._fit(design, whole=True, now=state).patches_at(state)
         for turn in (1, 2):
             if design.lens and not self._bends(now):
                 design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
-                known = None
             fit = self._fit(design, whole=True, now=state, statistics=weight, patches=patches)
-            now, known = self._run(f"{name} {turn}", fit, _again(now), steps, known)
+            now = self._run(f"{name} {turn}", fit, _again(now), steps)
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS
-        slopes = known and known._replace(jacobians=None)
-        return Outcome(design, fit, now, self.start, self.losses, self.tried, slopes)
+        return Outcome(design, fit, now, self.start, self.losses, self.tried)
 
     def _demosaickers(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":
@@ -321,20 +289,18 @@ class Search:
             for size in model.MEDIANS[1:]:
                 yield dataclasses.replace(design, median=size)
 
-    def _try(self, group: str, design: model.Design, state: State, near: Near) -> State:
-        name = f"{group.strip('_')}: {design.text}"
-        after, _ = self.journal.get(name)
-        if after is None:
-            after = self._fit(design).beginning(_again(state), near())
-            self.journal.put(name, after, finished=True)
-            self._note(name, after)
+    def _try(self, group: str, design: model.Design, state: State) -> State:
+        steps = min(TRIAL, self.options.steps)
+        after = self._run(f"{group.strip('_')}: {design.text}", self._fit(design), _again(state), steps)
         self.tried.append((design.text, after.objective))
         return after
 
     def _fit(self, design: model.Design, whole: bool = False, **options: Any) -> Fit:
         """The problem on all tiles, or, until the last phase, on some groups of them."""
-        views = self.views(design, whole)
+        views = self.views(design)
         if not whole:
+            kept = self._coarse()
+            views = tuple(v._replace(chunks=v.chunks[:n]) for v, n in zip(views, kept))
             options["scale"] = self._scale
         given = {"now": self.origin, "mesh": self.mesh, **options}
         fit = Fit(self.problem, self.start, views, self.origin, design, **given)
@@ -353,26 +319,20 @@ class Search:
             kept[int(np.argmin(shares))] += 1
         return kept
 
-    def _run(
-        self, name: str, fit: Fit, state: State, steps: int, known: Slopes | None = None
-    ) -> tuple[State, Slopes | None]:
-        """A phase, with what `Fit.run` takes and returns."""
+    def _run(self, name: str, fit: Fit, state: State, steps: int) -> State:
         saved, finished = self.journal.get(name)
         if saved is not None and finished:
-            return saved, None
+            return saved
 
         def after(now: State) -> None:
+            self.losses.append((name, now.objective))
+            self._done += 1
             self.journal.put(name, now, finished=False)
-            self._note(name, now)
+            self.tick(min(self._done, self._total - 1), self._total, f"{name} {now.objective:.4f}")
 
-        state, known = fit.run(saved or state, steps, after, known=None if saved else known)
+        state = fit.run(saved or state, steps, after)
         self.journal.put(name, state, finished=True)
-        return state, known
-
-    def _note(self, name: str, now: State) -> None:
-        self.losses.append((name, now.objective))
-        self._done += 1
-        self.tick(min(self._done, self._total - 1), self._total, f"{name} {now.objective:.4f}")
+        return state
 
     def _origin(self, start: Params) -> State:
         layout, pairs = self.problem.layout, len(self.shots)
@@ -387,8 +347,8 @@ class Search:
             + min(steps, LAST_STEPS)
             + min(LENS_STEPS, steps)
             + (self.options.starts > 1) * self.options.starts * min(START_STEPS, steps)
-            + self.options.trials
-            + 6
+            + min(TRIAL, steps) * (self.options.trials + 5)
+            + 1
         )
 
 

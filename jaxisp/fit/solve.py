@@ -10,10 +10,10 @@ from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
-from jaxisp.fit.program import COLOURS, colour_cells
+from jaxisp.fit.program import COLOURS, colour_cells, sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.spread import Call, each
-from jaxisp.fit.state import Equations, Place, Slopes, State, View
+from jaxisp.fit.state import Equations, Place, State, View
 from jaxisp.fit.tiles import Chunk
 from jaxisp.fit.usual import KINDS, linearised
 from jaxisp.pipeline import Params
@@ -27,7 +27,7 @@ FEWEST = 3  # surfaces whose scores tell how they vary
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
 CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
-WORTH = 2e-3  # of the objective, that a step must gain
+WORTH = 2e-3  # of the objective, that such a step must gain
 
 
 class Fit:
@@ -71,8 +71,8 @@ class Fit:
         self.bends = np.bool_(design.lens)
         self.moving = problem.moving(design.lens, design.median is not None)
         self.problem, self.fixed, self.views, self.start = problem, as_arrays(fixed), tuple(views), start
-        tiles = [tile for v in views for c in v.chunks for tile in zip(c.target, c.flat, c.edges)]
-        self.wanted = np.stack([noise.moments(*tile) for tile in tiles]).sum(axis=0, dtype=np.float64)
+        own = [np.asarray(sums_of(c.target, c), np.float64) for v in views for c in v.chunks]
+        self.wanted: np.ndarray = np.sum(own, axis=0)
         stages = (
             [stage for stage, _ in problem.layout.names[CAMERA]],
             [stage for stage, _ in problem.layout.names[IMAGE]],
@@ -202,17 +202,13 @@ class Fit:
             gradient += self.statistics * (near.slopes * soft) @ rows
         return Place(float(objective), gradient, total / weight, rows)
 
-    def slopes(self, state: State) -> Slopes:
-        """All chunks with their derivatives at a state."""
-        return Slopes(*self.each(lambda at: self._call(state, at[0], at[1]), self._chunks))
-
-    def equations(self, state: State, known: Slopes | None = None) -> Equations:
-        """The objective at a state, its gradient and its Gauss-Newton matrix; `known`: its slopes."""
+    def equations(self, state: State) -> Equations:
+        """The objective at a state, its gradient and its Gauss-Newton matrix."""
         size = len(self._hold)
         data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
         sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
         scores = np.zeros((len(self.views), len(self._pixels[0]), size))
-        parts, jacobians = known or self.slopes(state)
+        parts, jacobians = self.each(lambda at: self._call(state, at[0], at[1]), self._chunks)
         for (i, _), part in zip(self._chunks, parts):
             index = self._index(i)
             data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
@@ -233,9 +229,9 @@ class Fit:
         objective = float(share * total + self.statistics * misfit + pull)
         return Equations(objective, matrix, right, data, apart, total, weight, jacobian, jacobians)
 
-    def patches_at(self, state: State, known: Slopes | None = None) -> dict[str, float]:
+    def patches_at(self, state: State) -> dict[str, float]:
         """By kind of parameters: how many pixels' residuals are about as good as one independent one."""
-        at, names = self.equations(state, known), self.problem.layout.names
+        at, names = self.equations(state), self.problem.layout.names
         stages = [stage for stage, _ in (*names[CAMERA], *names[IMAGE] * len(self.views))]
         return {kind: patch_at(at, np.flatnonzero(np.isin(stages, own))) for kind, (_, own) in KINDS.items()}
 
@@ -244,48 +240,18 @@ class Fit:
         state: State,
         steps: int,
         tick: Callable[[State], Any] = lambda state: None,
-        tolerance: float = WORTH,
-        known: Slopes | None = None,
-    ) -> tuple[State, Slopes | None]:
-        """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective.
-
-        It also ends where the next one does not promise to, as far as the objective is quadratic.
-
-        Args:
-            state: where to start.
-            steps: at most.
-            tick: called after each.
-            tolerance: share of the objective that a step is worth taking for.
-            known: the slopes at `state`.
-
-        Returns:
-            the state; and the slopes there, where the last thing was to look at them.
-        """
+        tolerance: float = 1e-3,
+    ) -> State:
+        """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective."""
         while state.done < steps and state.idle < 2:
-            known = known or self.slopes(state)
-            before = self.equations(state, known)
-            state = dataclasses.replace(state, objective=before.objective)
-            if promised(before, state.damping) < tolerance * before.objective:
-                return state, known
-            known = None  # as large as all that was rendered
-            state = self._step(state, before)
+            before = self.equations(state)
+            state = self._step(dataclasses.replace(state, objective=before.objective), before)
             gain = before.objective - state.objective
             state = dataclasses.replace(
                 state, idle=state.idle + 1 if gain < tolerance * before.objective else 0
             )
-            del before
             tick(state)
-        return state, None
-
-    def beginning(self, state: State, at: Equations) -> State:
-        """A few steps with the equations of another choice, or of a place nearby; each only renders."""
-        place = self._at(state, at)
-        for _ in range(1 + CHORDS):
-            there, further = self._moved(state, at, place.vector, state.damping)
-            if not further.objective < place.objective:
-                break
-            state, place = there, further
-        return dataclasses.replace(state, objective=place.objective)
+        return state
 
     def _step(self, state: State, at: Equations) -> State:
         """One step, damped until it lowers the objective; then on with the same matrix while that pays."""
@@ -309,19 +275,10 @@ class Fit:
     def _moved(
         self, state: State, at: Equations, vector: np.ndarray, damping: float
     ) -> "tuple[State, Place]":
-        there = state.moved(np.clip(_solved(at, vector, damping), -LONGEST, LONGEST))
+        diagonal = at.matrix.diagonal() + SMALLEST
+        step = np.linalg.solve(at.matrix + damping * np.diag(diagonal), -vector)
+        there = state.moved(np.clip(step, -LONGEST, LONGEST))
         return there, self._at(there, at)
-
-
-def _solved(at: Equations, vector: np.ndarray, damping: float) -> np.ndarray:
-    diagonal = at.matrix.diagonal() + SMALLEST
-    return np.linalg.solve(at.matrix + damping * np.diag(diagonal), -vector)
-
-
-def promised(at: Equations, damping: float) -> float:
-    """By how much a step lowers the objective where that is as quadratic as its equations."""
-    step = _solved(at, at.vector, damping)
-    return float(-(2 * at.vector + at.matrix @ step) @ step)
 
 
 def patch_at(at: Equations, columns: np.ndarray) -> float:

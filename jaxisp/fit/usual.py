@@ -18,7 +18,6 @@ from jaxisp.fit.sharing import CAMERA, Layout
 from jaxisp.io.color_space import D65, SRGB_PRIMARIES
 from jaxisp.params import specs, to_unbounded
 from jaxisp.pipeline import Params
-from jaxisp.process.programs import QUICK
 
 MATRIX_MEAN = np.asarray([-0.6134, -0.1128, -0.2089, -0.3586, 0.0359, -0.5867])
 """Entries off the diagonal, rows summing to 1, from balanced camera RGB to linear sRGB: 127 cameras, 264
@@ -167,7 +166,7 @@ def _from_start(params: Params, start: Params) -> jax.Array:
     )
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1), compiler_options=QUICK)
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def linearised(
     layout: Layout,
     stated: bool,
