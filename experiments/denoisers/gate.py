@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.machine import machine
@@ -23,6 +24,7 @@ from jaxisp.io import read_image
 from jaxisp.io.files import write_text
 from jaxisp.models import read_network
 from jaxisp.models.apply import Denoiser
+from jaxisp.models.levels import measured_map
 from jaxisp.process.cache import keep_compiled
 from jaxisp.recipes import find_recipe
 from jaxisp.train import Classical
@@ -89,6 +91,12 @@ def blind(method: str, noisy: np.ndarray, target: np.ndarray) -> float:
     return psnr(Classical(method)(noisy), target)
 
 
+def with_true_map(model: Any, noisy: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """What a network with a noise map makes of a picture where it need not estimate that."""
+    picture, wanted = jnp.asarray(noisy)[None], jnp.asarray(target)[None]
+    return np.asarray(model(picture, measured_map(picture, wanted)))[0]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
@@ -113,6 +121,7 @@ def main() -> None:
         model, about = read_network(options.network)
         network: Callable[[np.ndarray], np.ndarray] = Denoiser(model, about["light"])
         rows["network"] = [psnr(network(picture), target) for picture, target in both]
+        rows["network, true map"] = [psnr(with_true_map(model, *pair), pair[1]) for pair in both]
     noisy = np.asarray(rows["noisy input"]) < NOISY
     result: dict[str, Any] = {
         "command": "python -m experiments.denoisers.gate DATA --work RUNS --network FILE",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.denoisers.gate import psnr
+from experiments.denoisers.gate import psnr, with_true_map
 from experiments.denoisers.training import TEST_PICTURES
 from jaxisp.cli.devices import use_cores
 from jaxisp.io import read_image
@@ -34,9 +34,10 @@ def main() -> None:
         noisy = picture + STD * np.random.default_rng(i).standard_normal(picture.shape).astype(np.float32)
         shown = np.clip(noisy, 0, 1)
         others = [Classical(name, STD)(noisy) for name in told]
-        rows.append([psnr(made, picture) for made in (shown, network(shown), *others)])
+        made = (shown, network(shown), with_true_map(network.model, shown, picture), *others)
+        rows.append([psnr(own, picture) for own in made])
         print(path.name, *np.round(rows[-1], 2), flush=True)
-    print(dict(zip(("noisy", "network", *told), np.round(np.mean(rows, 0), 2).tolist())))
+    print(dict(zip(("noisy", "network", "network, true map", *told), np.round(np.mean(rows, 0), 2).tolist())))
 
 
 if __name__ == "__main__":

@@ -63,6 +63,7 @@ def run(arguments: Namespace) -> int:
     from jaxisp.gap.diagnose import SIMULATOR
     from jaxisp.gap.report.page import plain
     from jaxisp.io import filled_folder, output_file
+    from jaxisp.io.datasets import RAW_JPEG
     from jaxisp.io.locks import locked
 
     # a fault here should not cost a diagnosis
@@ -85,8 +86,10 @@ def run(arguments: Namespace) -> int:
     if not arguments.json:
         say(f"{page} in {found.report['seconds']:.0f} s")
         if found.simulator is not None:
-            uses = "develop --camera" if found.report["kind"] == "raw+jpeg" else "degrade and train"
+            uses = "develop --camera" if found.report["kind"] == RAW_JPEG else "degrade and train"
             say(f"{page.with_name(SIMULATOR)}: the simulator with what was found, for {uses}")
+    if found.simulator is None and page.with_name(SIMULATOR).exists():
+        warn(f"{page.with_name(SIMULATOR)} is of an earlier diagnosis: this one has none")
     return report_failures((f["file"], f["reason"]) for f in found.report["pairs"]["failed"])
 
 

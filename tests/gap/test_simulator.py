@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from jaxisp.camera import develop, standard_camera
-from jaxisp.gap.base.plain_clean import encoder_of
 from jaxisp.gap.base.plain_raw import choices
 from jaxisp.gap.base.raw_jpeg import camera_model
 from jaxisp.gap.report.simulator import simulator_of
+from jaxisp.gap.simulator.choices import encoder_of
 from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.model import build, plain_camera, plain_freedom
 from jaxisp.pipeline import run
@@ -32,7 +32,7 @@ def loaded():
 
 
 def simulator(model, z, causes=(), **more):
-    about = {"encoder": (encoder_of(None)), "from_file": (*model.per_pair,), "given": None} | more
+    about = {"encoder": encoder_of(None), "from_file": (*model.per_pair,), "given": None} | more
     case = SimpleNamespace(kind="raw+jpeg", reference_gap=None, split=SimpleNamespace(fit=(0,)), **about)
     return simulator_of(case, SimpleNamespace(model=model, z=z), causes)
 

@@ -10,7 +10,7 @@ from jaxisp.camera import with_cfa
 from jaxisp.cfa import shifted
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC, accepts
 from jaxisp.errors import InputError
-from jaxisp.gap.base.plain_clean import encoder_of
+from jaxisp.gap.simulator.choices import encoder_of
 from jaxisp.gap.simulator.effects import Effect
 from jaxisp.gap.simulator.model import Coordinate, is_file
 from jaxisp.io.jpeg import Jpeg

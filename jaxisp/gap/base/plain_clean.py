@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxisp.encoder import encoder_of as stated_encoder
 from jaxisp.gap.base.palette import TYPICAL
+from jaxisp.gap.simulator.choices import encoder_of
 from jaxisp.gap.simulator.effects import Effect, Move
 from jaxisp.gap.simulator.model import (
     COMPANDING,
@@ -118,11 +118,6 @@ class Camera:
         free = (*noise_freedom(shared), *narrowed(plain_freedom()))
         model = build(chain, shared, {}, free, effects, keep_file=True)
         return dataclasses.replace(model, chain=read_out(model.chain, BALANCES[0]), tied=_tied)
-
-
-def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
-    """The encoder that the file's header states, and its parameters; rounding if it is not modelled."""
-    return stated_encoder(file, "file") or (stage("rounding"), {})
 
 
 def narrowed(free: Sequence[Coordinate]) -> list[Coordinate]:

@@ -12,7 +12,6 @@ from jaxisp.errors import InputError
 from jaxisp.gap.axes.interval import interval
 from jaxisp.gap.base.given_chain import check_camera, flat_nodes, on_own_stage, renamed
 from jaxisp.gap.base.given_light import freedom, refitted, start, with_refit
-from jaxisp.gap.base.plain_clean import encoder_of
 from jaxisp.gap.base.plain_raw import Base, raw_model, stated_gains
 from jaxisp.gap.base.reference import OnReference, on_reference
 from jaxisp.gap.case import Case, Floor, Gap, Tick
@@ -27,7 +26,7 @@ from jaxisp.gap.pairs.pairs import to_steps
 from jaxisp.gap.pairs.same_raw import of_same_raws
 from jaxisp.gap.pairs.scenes import Split, by_scene, split_of
 from jaxisp.gap.pairs.stored_twice import stored_twice
-from jaxisp.gap.simulator.choices import with_choice, with_earlier_grid
+from jaxisp.gap.simulator.choices import encoder_of, with_choice, with_earlier_grid
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build, is_file
 from jaxisp.io.datasets import Loaded

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.color import linear_to_srgb
-from jaxisp.gap.base.plain_clean import encoder_of
 from jaxisp.gap.case import Case, Tick
 from jaxisp.gap.criteria import CRITERIA, Criteria
 from jaxisp.gap.objective.pixels import PixelObjective
@@ -22,7 +21,7 @@ from jaxisp.gap.pairs.headers import stated_by
 from jaxisp.gap.pairs.pairs import Pairs, to_steps
 from jaxisp.gap.pairs.scenes import split_of
 from jaxisp.gap.pairs.stored_twice import stored_twice
-from jaxisp.gap.simulator.choices import with_earlier_grid
+from jaxisp.gap.simulator.choices import encoder_of, with_earlier_grid
 from jaxisp.gap.simulator.effects import JPEG_JPEG, RAW_JPEG, Effect, candidates
 from jaxisp.gap.simulator.model import Model, build
 from jaxisp.io import Jpeg

@@ -53,7 +53,7 @@ def simulator_of(case: Case, point: Point, causes: Sequence[str]) -> Recipe | No
     return Recipe(
         chain,
         {name: _within(params[name]) for name in chain.init() if name in params},
-        f"{case.given or 'a plain camera'}, fitted to {len(case.split.fit)} {kind} pairs, {found}",
+        f"{case.given or 'a plain camera'}, {found}; fitted to {len(case.split.fit)} {kind} pairs",
         {"causes": list(causes), **({"from_file": stated} if stated else {})},
     )
 

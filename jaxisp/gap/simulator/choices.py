@@ -1,13 +1,14 @@
-"""Choices of a simulator beside its coordinates: the demosaicker, the grid of an earlier compression, and
-whether the file's chroma sampling is in it."""
+"""Choices of a simulator beside its coordinates: the demosaicker, the grid of an earlier compression, the
+file's encoder, and whether its chroma sampling is in it."""
 
 import dataclasses
 
 import numpy as np
 
+from jaxisp.encoder import encoder_of as stated_encoder
 from jaxisp.gap.simulator.model import Model, samples_chroma
 from jaxisp.io import Jpeg
-from jaxisp.pipeline import Chain, Node, Stage, stage
+from jaxisp.pipeline import Chain, Node, Params, Stage, stage
 from jaxisp.stages.choice import DEMOSAICKERS, HALVED, ChromaSubsampling
 
 
@@ -28,6 +29,11 @@ def unsampled(model: Model, file: Jpeg | None) -> Model:
         return model
     whole = ChromaSubsampling(horizontal=np.float32(0), vertical=np.float32(0))
     return model.with_shared(model.shared | {last: whole})
+
+
+def encoder_of(file: Jpeg | None) -> tuple[Stage, Params]:
+    """The encoder that the file's header states, and its parameters; rounding if it is not modelled."""
+    return stated_encoder(file, "file") or (stage("rounding"), {})
 
 
 def with_choice(chain: Chain) -> Chain:
