@@ -22,9 +22,15 @@ from jaxisp.data.procedural import drawn
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
 from jaxisp.io.files import find_images
+from jaxisp.mixture import Mixture
 from jaxisp.models import save_network
 from jaxisp.models.files import read_arrays
+from jaxisp.pipeline import Chain, stage
+from jaxisp.priors import Uniform
 from jaxisp.process.cache import keep_compiled
+from jaxisp.recipe import Recipe
+from jaxisp.recipes import any_camera, mix
+from jaxisp.stages.noise import GaussianNoise
 from jaxisp.train import TrainConfig, load_denoiser, train
 
 FREE = ("photos", "kodak")
@@ -38,11 +44,20 @@ DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
 """Pictures of 512 px."""
 
 TRAINING: dict[str, Any] = {
-    "recipe": "any-camera", "model": "levelnet", "target": "camera", "patch": 64, "batch": 16,
-    "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
+    "model": "levelnet", "model_options": {"features": (64, 64, 96)}, "target": "camera", "patch": 64,
+    "batch": 16, "downsample": 1, "per_image": 50, "held_out": 24, "validation": 128, "checkpoint_every": 500,
     "pool": 45_056, "steps": 10_000, "lr": 1e-3, "ema": 0.999, "loss": "log_rms",
     "warmup": 300, "log_every": 100,
 }  # fmt: skip
+
+
+def recipe() -> Mixture:
+    """All cameras, and white noise of encoded values: that of `awgn` is of linear light."""
+    white = Recipe(
+        Chain((stage("gaussian_noise"), stage("clip"), stage("rounding")), "white-noise"),
+        {"gaussian_noise": GaussianNoise(std=Uniform(0.0, 0.2))},
+    )
+    return mix({any_camera(): 0.8, white: 0.2})
 
 
 def clean(data: Path, photos: list[Path], out: Path) -> None:
@@ -88,7 +103,7 @@ def _tiles(picture: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def configuration(work: Path, **changes: Any) -> TrainConfig:
-    return TrainConfig(clean=(str(work / "clean"),), **{**TRAINING, **changes})
+    return TrainConfig(clean=(str(work / "clean"),), recipe=recipe().name, **{**TRAINING, **changes})
 
 
 def export(run: Path, path: Path) -> None:
@@ -125,7 +140,11 @@ def main() -> None:
     changes = {"steps": options.steps} if options.steps else {}
     config = configuration(options.work, start=options.start, seed=options.seed, **changes)
     result = train(
-        config, run, resume=True, tick=lambda done, total, text: print(done, total, text, flush=True)
+        config,
+        run,
+        recipe=recipe(),
+        resume=True,
+        tick=lambda done, total, text: print(done, total, text, flush=True),
     )
     print(result.as_dict())
 
