@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.arrays.barriers import store
+from jaxisp.arrays.barriers import store, store_off_cpu
 from jaxisp.arrays.linear import inner_product, linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import nearest_int
 from jaxisp.arrays.stencils import edge_counts, pad
 from jaxisp.arrays.strips import in_strips_on_cpu
+from jaxisp.arrays.varying import alike
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.options import Positive, at_least, even
@@ -323,10 +324,10 @@ def _over_disc(
 
     def unrolled(total: Planes) -> Planes:
         for i in range(0, len(taps), most[1]):
-            total = lax.optimization_barrier(kernel(total, [column[i : i + most[1]] for column in table]))
+            total = store_off_cpu(kernel(total, [column[i : i + most[1]] for column in table]))
         return total
 
-    total = by_platform(_paired(start), cpu=looped, default=unrolled)
+    total = by_platform(alike(_paired(start), padded), cpu=looped, default=unrolled)
     return _parted(store(total), len(start))
 
 
