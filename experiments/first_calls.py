@@ -2,12 +2,14 @@
 
     python -m experiments.first_calls jpeg_file bilateral phone
     python -m experiments.first_calls phone --gradient --no-compile
+    python -m experiments.first_calls bilateral --later 50
 
 A stage gets one picture of 80 x 80 px, a recipe 32. The gradient is that of the sum of squares to all
 parameters. To compare two versions run them in turns: a busy machine changes CPU seconds too.
 """
 
 import argparse
+import statistics
 import time
 from collections.abc import Callable
 from typing import Any
@@ -45,6 +47,7 @@ def main() -> None:
     parser.add_argument("names", nargs="+", choices=[*sorted(STAGES), *RECIPES], metavar="NAME")
     parser.add_argument("--gradient", action="store_true")
     parser.add_argument("--no-compile", action="store_true")
+    parser.add_argument("--later", type=int, default=0, help="also the median CPU time of so many calls [ms]")
     arguments = parser.parse_args()
     check_backend()
     for name in arguments.names:
@@ -56,10 +59,19 @@ def main() -> None:
         lowered = traced.lower()
         times.append(time.process_time())
         if not arguments.no_compile:
-            lowered.compile()
+            program = lowered.compile()
             times.append(time.process_time())
-        told = zip(("trace", "lower", "compile"), np.diff(times))
-        print(name, ", ".join(f"{step} {seconds:.2f}" for step, seconds in told), flush=True)
+        told = [f"{step} {s:.2f}" for step, s in zip(("trace", "lower", "compile"), np.diff(times))]
+        if arguments.later and not arguments.no_compile:
+            later = statistics.median(_cpu(program, params) for _ in range(arguments.later))
+            told.append(f"later {1e3 * later:.2f} ms")
+        print(name, ", ".join(told), flush=True)
+
+
+def _cpu(program: Callable[[Any], Any], params: Any) -> float:
+    start = time.process_time()
+    jax.block_until_ready(program(params))
+    return time.process_time() - start
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ which needs more and is int32.
 """
 
 import functools
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -76,9 +77,9 @@ def _inverse_1d(x: Rows) -> list[Any]:
 
 
 @functools.cache
-def _fixed_dct_matrix() -> np.ndarray:
-    """The matrix of the fixed-point 1-D DCT, frequency by sample, times 2**13."""
-    return np.stack(_forward_1d(list(np.eye(8, dtype=int))))
+def _matrix(fn: Callable[[Rows], Rows]) -> np.ndarray:
+    """(8, 8) of a 1-D transform, output by input, times 2**13."""
+    return np.stack(fn(list(np.eye(8, dtype=np.int32))))
 
 
 class _Steps(NamedTuple):
@@ -164,22 +165,19 @@ def _by_lines(ends: Ends, slopes: bool, blocks: jax.Array, tables: jax.Array) ->
     across, bounds = lax.optimization_barrier((across, bounds))
     before = [jnp.arange(count, dtype=jnp.int32) < bound for bound in bounds]
 
-    def quantizer(fn: Callable[[jax.Array, _Steps], jax.Array]) -> Callable[[jax.Array, int], jax.Array]:
-        def of_line(scaled: jax.Array, line: int) -> jax.Array:
-            steps = (_by_end(before, [own[line, :, None] for own in s])[None] for s in each)
-            return jax.jit(fn)(scaled.astype(dtype), _Steps(*steps))
+    def quantized(fn: Callable[[jax.Array, _Steps], jax.Array], scaled: jax.Array) -> jax.Array:
+        steps = (_by_end(before, [own[:, :, None] for own in s]) for s in each)
+        return fn(scaled.astype(dtype), _Steps(*steps))
 
-        return of_line
-
-    def sample(x: jax.Array, _: int) -> jax.Array:
+    def sample(x: jax.Array) -> jax.Array:
         return jnp.clip(x + 128, 0, 255)
 
-    restored = _down(_forward_1d, across, 0, 15, quantizer(_restored))
+    restored = _down(_forward_1d, across, 0, 15, partial(quantized, _restored))
     samples = _down(_inverse_1d, _down(_inverse_1d, restored, 0, 11), 1, 18, sample)
     coded = _blocks(samples, rows, dtype)
     if not slopes:
         return (coded,)
-    slope = _down(_forward_1d, across, 0, 15, quantizer(_slope), dtype)
+    slope = _down(_forward_1d, across, 0, 15, partial(quantized, _slope), dtype)
     return coded, _blocks(slope, rows, dtype).reshape(rows, 8, -1, 8)
 
 
@@ -210,18 +208,18 @@ def _down(
     planes: jax.Array,
     axis: int,
     bits: int,
-    then: Callable[[jax.Array, int], jax.Array] = lambda x, _: x,
+    then: Callable[[jax.Array], jax.Array] = lambda x: x,
     dtype: Any = jnp.int16,
 ) -> jax.Array:
-    """A 1-D transform along an axis of 8, shifted down by `bits`, rounded, and what follows for each place.
+    """A 1-D transform along an axis of 8, shifted down by `bits`, rounded, and what follows.
 
-    All that is stored between transforms fits 16 bits: at most 2**13, the coefficients times 8.
+    All that is stored between transforms fits 16 bits: at most 2**13, the coefficients times 8. A sum with a
+    matrix, as butterflies compile one after the other, for each of the eight.
     """
-    # sliced and joined along the axis as it is: `jnp.stack` would move it, at a copy under vmap; called as
-    # functions, so that they are traced once
-    lines = jax.jit(fn)([lax.slice_in_dim(planes, i, i + 1, axis=axis).astype(jnp.int32) for i in range(8)])
-    each = [then(_rounded(line, bits), i).astype(dtype) for i, line in enumerate(lines)]
-    return materialize(lax.concatenate(each, axis))
+    shape = [8 if a == axis else 1 for a in range(planes.ndim)]
+    lines = [lax.slice_in_dim(planes, i, i + 1, axis=axis).astype(jnp.int32) for i in range(8)]
+    weighted = [line * column.reshape(shape) for line, column in zip(lines, _matrix(fn).T)]
+    return materialize(then(_rounded(functools.reduce(operator.add, weighted), bits)).astype(dtype))
 
 
 # Elsewhere: sums over 8, each one kernel with what is around it
@@ -246,12 +244,12 @@ def _of_rows(tables: jax.Array, ends: Ends, rows: int) -> jax.Array:
 
 def _rows_forward(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W) blocks of samples about 0, times 4; exact in floats."""
-    return shifted(_along_rows(_fixed_dct_matrix(), blocks) + (1 << 10), 11)
+    return shifted(_along_rows(_matrix(_forward_1d), blocks) + (1 << 10), 11)
 
 
 def _rows_inverse(blocks: jax.Array) -> jax.Array:
     """Along the rows of (R, 8, W), undone; the matrix is split in two so that each sum is below 2**24."""
-    basis = _fixed_dct_matrix().T
+    basis = _matrix(_forward_1d).T
     coarse = (basis + 64) // 128
     high, low = (_along_rows(m, blocks) for m in (coarse, basis - 128 * coarse))
     return shifted(high + shifted(low + (1 << 17), 7), 11)
@@ -263,7 +261,7 @@ def _along_rows(matrix: np.ndarray, blocks: jax.Array) -> jax.Array:
 
 def _columns(fn: Callable[[Rows], Rows], blocks: jax.Array, bits: int, dtype: Any) -> jax.Array:
     """A 1-D transform down the columns of int32 (R, 8, W), shifted down by `bits`, rounded, as `dtype`."""
-    lines = _summed(np.stack(fn(list(np.eye(8, dtype=int)))), 1, blocks)
+    lines = _summed(_matrix(fn), 1, blocks)
     return lax.optimization_barrier(_rounded(lines, bits).astype(dtype))
 
 

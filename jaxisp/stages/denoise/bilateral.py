@@ -13,9 +13,11 @@ from jax import lax
 from jaxisp.arrays.barriers import store, store_off_cpu
 from jaxisp.arrays.linear import inner_product, linear_call
 from jaxisp.arrays.planes import interleaved, planes
+from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import nearest_int
-from jaxisp.arrays.stencils import edge_counts, pad, views
+from jaxisp.arrays.stencils import edge_counts, pad
 from jaxisp.arrays.strips import in_strips_on_cpu
+from jaxisp.arrays.varying import alike
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.domains import RGB
 from jaxisp.options import Positive, at_least, even
@@ -25,9 +27,9 @@ from jaxisp.stages.denoise.grid import grid_planes
 
 Planes = tuple[jax.Array, ...]
 
-# taps of a fused kernel, on a CPU and elsewhere: more is slower to compile and to run
-_FORWARD_TAPS, _BACKWARD_TAPS = (80, 40), (40, 20)
-_FEW_TAPS = 20  # up to so many it pays to look the rows of the neighbours up as they are read
+# taps of a fused kernel, on a CPU and elsewhere: more is slower to compile, elsewhere also to run
+_FORWARD_TAPS, _BACKWARD_TAPS = (10, 40), (10, 20)
+_FEW_TAPS = 20  # up to so many are one kernel, and it pays to look the neighbours' rows up as they are read
 _EXP2 = (1.0000000754549, 0.6931471880262, 0.2402210748531, 0.0555035711422, 0.0096760319183, 0.0013390863364)
 """2**x on [-0.5, 0.5], interpolated at Chebyshev nodes, lowest power first."""
 
@@ -184,7 +186,7 @@ def _filtered(
     planes, guide = frame
     weight = _weight(sigma_space, sigma_range)
 
-    def terms(near: Planes, squared: int) -> Planes:
+    def terms(near: Planes, squared: jax.Array) -> Planes:
         w, _ = weight(guide, near[0], squared)
         return (w, *(w * v for v in near[1:]))
 
@@ -200,7 +202,7 @@ def _tangent(radius: int, saved: Any, change: Any) -> Planes:
     weight, n = _weight(sigma_space, sigma_range), len(planes)
     by_space, by_range, by_guide = d_space / sigma_space**3, d_range / sigma_range**3, 1 / sigma_range**2
 
-    def terms(near: Planes, squared: int) -> Planes:
+    def terms(near: Planes, squared: jax.Array) -> Planes:
         w, d = weight(guide, near[0], squared)
         rate = by_space * squared + d * (by_range * d - by_guide * (near[1] - d_guide))
         moved = zip(near[2 : 2 + n], near[2 + n :], out)
@@ -236,7 +238,7 @@ def _collected(
     shared = sum(c * o for c, o in zip(mirrored, out))
     share = 1 / counts
 
-    def terms(near: Planes, squared: int) -> Planes:
+    def terms(near: Planes, squared: jax.Array) -> Planes:
         w, d = weight(guide, near[0], squared)
         value, come = near[1 : 1 + n], near[1 + n : 1 + 2 * n]
         centre = w * (sum(c * v for c, v in zip(given, value)) - offset)  # this pixel averages the near one
@@ -255,7 +257,7 @@ def _weight(sigma_space: jax.Array, sigma_range: jax.Array) -> Callable[..., tup
     to_bits = -0.5 / math.log(2)
     space, range_ = to_bits / sigma_space**2, to_bits / sigma_range**2
 
-    def weight(guide: jax.Array, near: jax.Array, squared: int) -> tuple[jax.Array, jax.Array]:
+    def weight(guide: jax.Array, near: jax.Array, squared: jax.Array) -> tuple[jax.Array, jax.Array]:
         d = near - guide
         return _exp2(space * squared + range_ * d * d), d
 
@@ -287,26 +289,45 @@ def _exp2_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _over_disc(
-    terms: Callable[[Planes, int], Planes], start: Planes, near: Planes, radius: int, most: tuple[int, int]
+    terms: Callable[[Planes, jax.Array], Planes],
+    start: Planes,
+    near: Planes,
+    radius: int,
+    most: tuple[int, int],
 ) -> Planes:
     """Add `terms(moved planes, squared distance)` to `start` over a disc without its centre.
 
-    The terms are traced once, and called: the compiler puts them in line. Tracing the gradient takes an
-    eighth of the time. `most` are the taps of a kernel, on a CPU and elsewhere.
+    One tap is traced, and called: the compiler puts calls in line. `most` are the taps of a kernel, on a CPU
+    and elsewhere. A CPU has one kernel in a loop, so that one is compiled.
     """
-    on_cpu, elsewhere = most
-    terms = jax.jit(terms)
-    span = range(-radius, radius + 1)
-    taps = [(dy, dx) for dy in span for dx in span if 0 < dy * dy + dx * dx <= radius * radius]
+    span, shape = range(-radius, radius + 1), near[0].shape
+    taps = np.asarray([(y, x) for y in span for x in span if 0 < y * y + x * x <= radius * radius])
     padded = tuple(pad(x, radius, whole=len(taps) > _FEW_TAPS) for x in near)
-    total = _paired(start)
-    for i, ((dy, dx), moved) in enumerate(zip(taps, zip(*(views(x, taps, radius) for x in padded)))):
-        if i and not i % on_cpu:
-            total = store(total)
-        elif i and not i % elsewhere:
-            total = store_off_cpu(total)
-        more = _paired(terms(moved, dy * dy + dx * dx))
-        total = tuple(t + m for t, m in zip(total, more))
+    # unsigned, or each index is tested for its sign
+    table = (taps + radius).astype(np.uint32), (taps**2).sum(1).astype(near[0].dtype)
+
+    @jax.jit
+    def tap(total: Planes, padded: Planes, place: jax.Array, squared: jax.Array) -> Planes:
+        moved = tuple(lax.dynamic_slice(x, tuple(place), shape) for x in padded)
+        return tuple(t + more for t, more in zip(total, _paired(terms(moved, squared))))
+
+    def kernel(total: Planes, some: Any) -> Planes:
+        for place, squared in zip(*some):
+            total = tap(total, padded, place, squared)
+        return total
+
+    def looped(total: Planes) -> Planes:
+        rest = len(taps) % most[0] if len(taps) > _FEW_TAPS else len(taps)
+        total = kernel(total, [column[:rest] for column in table])
+        loop = [column[rest:].reshape(-1, most[0], *column.shape[1:]) for column in table]
+        return lax.scan(lambda total, some: (kernel(total, some), None), total, loop)[0]
+
+    def unrolled(total: Planes) -> Planes:
+        for i in range(0, len(taps), most[1]):
+            total = store_off_cpu(kernel(total, [column[i : i + most[1]] for column in table]))
+        return total
+
+    total = by_platform(alike(_paired(start), padded), cpu=looped, default=unrolled)
     return _parted(store(total), len(start))
 
 

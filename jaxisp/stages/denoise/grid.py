@@ -255,17 +255,22 @@ def _corners(cell: int, stride: int) -> list[list[tuple[int, np.ndarray]]]:
 def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: bool) -> jax.Array:
     quadrants = _corners(cell, stride)
 
+    @jax.jit  # traced for one quadrant, and called for the others
+    def of_quadrant(u: jax.Array, grid: jax.Array, offsets: Any, weights: Any) -> jax.Array:
+        z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
+        corners = [lax.dynamic_slice_in_dim(grid, offset, u.shape[1], 2) for offset in offsets]
+        terms = []
+        for some in _groups(len(grid)):
+            near = sum(w * corner[some, :, None] for w, corner in zip(weights, corners))
+            terms.append(fused_sum(_tent(u - z[some], slope) * near, 0))
+        return store(_sum(terms, _UNROLLED))
+
     def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
-        length, dtype = u.shape[1], u.dtype
-        z = jnp.arange(len(grid), dtype=dtype)[:, None, None, None]
         parts = []
         for own, corners in zip(jnp.split(u, 4), quadrants):
-            weighed = [(offset, jnp.asarray(w[:, None], dtype)) for offset, w in corners]
-            terms = []
-            for some in _groups(len(grid)):
-                near = sum(w * grid[some, :, None, offset : offset + length] for offset, w in weighed)
-                terms.append(fused_sum(_tent(own - z[some], slope) * near, 0))
-            parts.append(store(_sum(terms, _UNROLLED)))
+            offsets, weights = zip(*corners)
+            columns = [w[:, None].astype(u.dtype) for w in weights]
+            parts.append(of_quadrant(own, grid, np.array(offsets, np.uint32), columns))
         return jnp.concatenate(parts, axis=1)
 
     def looked_up(u: jax.Array, grid: jax.Array) -> jax.Array:
