@@ -1,5 +1,6 @@
 """`python -m jaxisp`, and the command `jaxisp`."""
 
+import gc
 import os
 import sys
 
@@ -22,6 +23,7 @@ def main() -> int:
     try:
         _open_streams()
         signals.watch()  # before all that takes time to import
+        gc.set_threshold(100_000, 20, 50)  # tracing makes millions of small objects that stay: a fifth of it
         from jaxisp.cli import main as command
 
         status = command()
