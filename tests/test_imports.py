@@ -113,9 +113,12 @@ def test_help_and_usage_errors_do_not_load_jax(arguments):
     assert time.perf_counter() - clock < 5  # a guard against a heavy import, not a benchmark
 
 
-def test_only_a_run_loads_tensorboard():
-    """It loads PyTorch where that is installed, which takes seconds."""
-    code = "import sys, jaxisp.cli.train, jaxisp.train, jaxisp.gap; assert 'tensorboardX' not in sys.modules"
+def test_slow_imports_wait_until_they_are_needed():
+    """tensorboardX loads PyTorch where that is installed, which takes seconds; SciPy doubles the time."""
+    code = (
+        "import sys, jaxisp.recipes, jaxisp.io, jaxisp.camera; assert 'scipy' not in sys.modules\n"
+        "import jaxisp.cli.train, jaxisp.train, jaxisp.gap; assert 'tensorboardX' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

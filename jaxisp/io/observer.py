@@ -1,9 +1,12 @@
 """The standard observer, and the chromaticity of a spectrum."""
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 # Colour-matching functions of the CIE 1931 observer of 2 degrees, every 5 nm from 360 to 830 nm; z ends with
 # zeros. Source: CIE 015:2018, table 6 (ISO/CIE 11664-1), to six digits.
@@ -60,7 +63,9 @@ def observer(nm: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _curves() -> CubicSpline:
+def _curves() -> "CubicSpline":
+    from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
+
     nm = np.arange(_FIRST, _LAST + 1, _STEP)
     z = np.pad(_Z, (0, nm.size - len(_Z)))
     return CubicSpline(nm, np.stack([_X, _Y, z], 1))

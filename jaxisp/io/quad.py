@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from jaxisp.cfa import PATTERNS, is_xtrans, shifted
 from jaxisp.io.opcodes import GainMap, Opcode
@@ -124,11 +123,13 @@ def _colors(cfa: str) -> np.ndarray:
 
 def _local_mean(mosaic: np.ndarray, where: np.ndarray, period: int) -> np.ndarray:
     """The mean of the linear interpolations between pixels that lie a period apart."""
+    from scipy.ndimage import convolve1d  # slow to import, and seldom needed
+
     tent = (1 - np.abs(np.arange(1 - period, period)) / period).astype(np.float32)
 
     def smooth(plane: np.ndarray) -> np.ndarray:
         for axis in (0, 1):
-            plane = ndimage.convolve1d(plane, tent, axis, mode="constant")
+            plane = convolve1d(plane, tent, axis, mode="constant")
         return plane
 
     return smooth(np.where(where, mosaic, np.float32(0))) / smooth(where.astype(np.float32))
