@@ -1,6 +1,6 @@
-"""White noise on clean pictures: the network that comes with the package, blind, and others told the level.
+"""White noise on clean pictures: a network, blind, and others told the level.
 
-python -m experiments.denoisers.white_noise DATA
+python -m experiments.denoisers.white_noise DATA [--network FILE]
 """
 
 import argparse
@@ -12,7 +12,8 @@ from experiments.denoisers.gate import psnr, with_true_map
 from experiments.denoisers.training import TEST_PICTURES
 from jaxisp.cli.devices import use_cores
 from jaxisp.io import read_image
-from jaxisp.models.apply import shipped_denoiser
+from jaxisp.models import read_network
+from jaxisp.models.apply import Denoiser, shipped_denoiser
 from jaxisp.train import Classical
 
 STD, SIDE = 0.1, 256
@@ -22,12 +23,17 @@ TOLD = ("ffdnet", "bm3d")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
+    parser.add_argument("--network", type=Path, help="a file of weights; none: those of the package")
     options = parser.parse_args()
     use_cores()
     clean = options.data / "clean"
     paths = [clean / "kodak" / f"{name}.png" for name in TEST_PICTURES]
     paths += sorted((clean / "cbsd68").iterdir())[1::6]
-    network, told = shipped_denoiser()[0], [name for name in TOLD if not Classical(name).missing()]
+    network = shipped_denoiser()[0]
+    if options.network:
+        model, about = read_network(options.network)
+        network = Denoiser(model, about["light"])
+    told = [name for name in TOLD if not Classical(name).missing()]
     rows = []
     for i, path in enumerate(paths):
         picture = read_image(path)[:SIDE, :SIDE]
