@@ -4,6 +4,7 @@ import os
 import sys
 
 from jaxisp.process import signals
+from jaxisp.process.environment import one_blas_thread
 
 
 def _open_streams() -> None:
@@ -22,6 +23,7 @@ def main() -> int:
     try:
         _open_streams()
         signals.watch()  # before all that takes time to import
+        one_blas_thread()
         from jaxisp.cli import main as command
 
         status = command()

@@ -17,7 +17,7 @@ from jaxisp.gap.search import score
 from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
 from jaxisp.gap.search.refit import clustered
 from jaxisp.gap.search.signs import Signs, left_signs, signs
-from jaxisp.gap.search.states import Shown, shown
+from jaxisp.gap.search.states import Shown, shown, sized
 from jaxisp.gap.search.stepwise import Searched, Terms, ended, replayed, search
 from jaxisp.gap.search.trial import Cause, Trial, Whole
 
@@ -159,14 +159,14 @@ def effect_signs(case: Case, gap: Gap, found: Searched, before: Shown) -> dict[s
         return signs(case.kind, gap, trial, step, numbers, agreed, (was, now), left)
 
     first = sorted(found.steps[0] if found.steps else [], key=lambda t: -t.closed)
-    states = {t.effect: shown(evidence, ended(evidence, start, t)) for t in first[:_LOCATED]}
+    states = {t.effect: sized(evidence, ended(evidence, start, t)) for t in first[:_LOCATED]}
     for trial in first:
         now = states.get(trial.effect, before)
         own[trial.effect] = of(trial, first, found.halves.get(trial.effect, 0.0), before, now)
     at, was = start, before
     for k, (trial, _) in enumerate(found.causes):
         at = ended(evidence, at, trial)
-        now = states[trial.effect] if k == 0 and trial.effect in states else shown(evidence, at)
+        now = states[trial.effect] if k == 0 and trial.effect in states else sized(evidence, at)
         if k:
             own[trial.effect] = of(trial, found.steps[k], found.halves.get(trial.effect, 0.0), was, now)
         was = now
