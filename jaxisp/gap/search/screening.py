@@ -71,9 +71,13 @@ def _with_normals(
     normals = dict(point.normals)
     for some in _batches(model, names):
         there = evidence.compute(point, model.indices(some), steps)
+        every = [*_base(point), *model.indices(some)]
+        whole = evidence.normal(there, every)
         for name in some:
             which = _with_base(point, name)
-            normals[tuple(which)] = evidence.normal(there, which)
+            own = [every.index(i) for i in which]
+            gram = whole.gram[:, own][:, :, own]
+            normals[tuple(which)] = NormalEquations(gram, whole.slope[:, own])
         point = there if evidence.compact else point
         del there
         give_back()
