@@ -101,7 +101,7 @@ class PixelObjective:
 
     def picture(self, model: Model, z: np.ndarray) -> np.ndarray:
         """(N, h, w, 3) Y'CbCr in steps, its border cut off."""
-        return to_steps(self.rendered(model, z)[INNER])
+        return model.in_steps(z, self.pairs.light)
 
     def rendered(self, model: Model, z: np.ndarray) -> np.ndarray:
         """(N, H, W, 3) encoded."""

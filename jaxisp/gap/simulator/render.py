@@ -57,8 +57,9 @@ class Kept:
 
 def render(
     chain: Chain, shared: Params, per_pair: Params, light: jax.Array, keys: jax.Array | None, kept: Kept
-) -> np.ndarray:
-    """(N, H, W, 3): the pictures of a chain, up to the order of rounding as the chain itself makes them.
+) -> jax.Array:
+    """(M, H, W, 3): the pictures of a chain, up to the order of rounding as the chain itself makes them. What
+    is beyond N fills the last set.
 
     Args:
         chain: its gates are switched by `shared`.
@@ -85,7 +86,7 @@ def render(
         own, each = owned[k]
         picture = _run(todo[k], jax.tree.map(_whole_sets, each), own, picture, keys, len(light))
         kept.put(names[k + 1], picture)
-    return np.asarray(picture)[: len(light)]
+    return picture
 
 
 def _bytes(params: Any) -> tuple[bytes, ...]:
