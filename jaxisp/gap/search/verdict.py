@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxisp.gap.case import Case, Gap, Tick
 from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.search import score
 from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
 from jaxisp.gap.search.refit import clustered
@@ -159,7 +160,9 @@ def effect_signs(case: Case, gap: Gap, found: Searched, before: Shown) -> dict[s
         return signs(case.kind, gap, trial, step, numbers, agreed, (was, now), left)
 
     first = sorted(found.steps[0] if found.steps else [], key=lambda t: -t.closed)
-    states = {t.effect: sized(evidence, ended(evidence, start, t)) for t in first[:_LOCATED]}
+    located = first[:_LOCATED]
+    sizes = parallel_map(lambda t: sized(evidence, ended(evidence, start, t)), located)
+    states = dict(zip((t.effect for t in located), sizes))
     for trial in first:
         now = states.get(trial.effect, before)
         own[trial.effect] = of(trial, first, found.halves.get(trial.effect, 0.0), before, now)
