@@ -121,8 +121,9 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     noted: dict[str, Mapping[str, float]] = {name: own._asdict() for name, own in seen.items()}
     causes, at = named(case, found, probable, terms)
     trials, predicted = found.trials, found.predicted
+    end = ended(evidence, start, *(t for t, _ in found.causes))
     if case.stored is not None:
-        grain = _grain(case, at, gap.scale, terms.least)
+        grain = _grain(case, at, end, gap.scale, terms.least)
         noted[grain.effect] = own = grain_signs(gap, grain)
         probable[grain.effect] = score.probability(score.GRAIN, own)
         if terms.most and probable[grain.effect] >= criteria.named:
@@ -131,7 +132,6 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     after = shown(evidence, at) if causes else before
     refused = None
     if not causes and found.causes:
-        end = ended(evidence, start, *(t for t, _ in found.causes))
         refused = Refused(by_closure(found.causes), shown(evidence, end), end)
     above: Gap | None = None
     if causes:
@@ -201,12 +201,13 @@ def grain_signs(gap: Gap, grain: Trial) -> dict[str, float]:
     }
 
 
-def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
-    """The trial of film grain; it needs RAW+JPEG pairs with known errors of the file's compression."""
+def _grain(case: Case, at: Point, end: Point, scale: float, least: float) -> Trial:
+    """The trial of film grain beside the causes. It is measured beside all effects that the search accepted, and
+    needs RAW+JPEG pairs with known errors of the file's compression."""
     pixels, stored = case.pixels, case.stored
     assert pixels is not None and stored is not None
     seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
-    return grain_trial(seen, stored, at.z, scale, least)
+    return grain_trial(seen, stored, at.z, scale, least, end.shown[0])
 
 
 def _as_added(
