@@ -202,8 +202,8 @@ def grain_signs(gap: Gap, grain: Trial) -> dict[str, float]:
 
 
 def _grain(case: Case, at: Point, end: Point, scale: float, least: float) -> Trial:
-    """The trial of film grain beside the causes. It is measured beside all effects that the search accepted, and
-    needs RAW+JPEG pairs with known errors of the file's compression."""
+    """The trial of film grain beside the causes. It is measured beside all effects that the search accepted,
+    and needs RAW+JPEG pairs with known errors of the file's compression."""
     pixels, stored = case.pixels, case.stored
     assert pixels is not None and stored is not None
     seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
