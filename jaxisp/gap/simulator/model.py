@@ -17,7 +17,7 @@ from jaxisp.domains import CAMERA, ENCODED, MOSAIC
 from jaxisp.gap.pairs.pairs import inner_steps
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move
 from jaxisp.gap.simulator.remainder import FILE_NOISE, PICTURE_LIGHT
-from jaxisp.gap.simulator.render import Kept, render
+from jaxisp.gap.simulator.render import Kept, in_sets, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.power import Gamma
@@ -163,14 +163,12 @@ class Model:
 
     def render(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, H, W, 3) encoded, clipped to [0, 1], of all pairs."""
-        return np.clip(np.asarray(self._rendered(z, light, keys))[: len(light)], 0, 1)
+        return np.clip(render(self.chain, self.params(z), self.per_pair, light, keys, self.kept), 0, 1)
 
     def in_steps(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, h, w, 3) the same in 8-bit steps of Y'CbCr, the border cut off."""
-        return np.asarray(inner_steps(self._rendered(z, light, keys), len(light)))
-
-    def _rendered(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None) -> jax.Array:
-        return render(self.chain, self.params(z), self.per_pair, light, keys, self.kept)
+        pictures = in_sets(self.chain, self.params(z), self.per_pair, light, keys, self.kept)
+        return np.asarray(inner_steps(pictures, len(light)))
 
     def take(self, which: Sequence[int]) -> "Model":
         """The model of some of the pairs."""

@@ -57,9 +57,8 @@ class Kept:
 
 def render(
     chain: Chain, shared: Params, per_pair: Params, light: jax.Array, keys: jax.Array | None, kept: Kept
-) -> jax.Array:
-    """(M, H, W, 3): the pictures of a chain, up to the order of rounding as the chain itself makes them. What
-    is beyond N fills the last set.
+) -> np.ndarray:
+    """(N, H, W, 3): the pictures of a chain, up to the order of rounding as the chain itself makes them.
 
     Args:
         chain: its gates are switched by `shared`.
@@ -68,6 +67,13 @@ def render(
         keys: (N,) of stochastic nodes, or None.
         kept: of earlier calls.
     """
+    return np.asarray(in_sets(chain, shared, per_pair, light, keys, kept))[: len(light)]
+
+
+def in_sets(
+    chain: Chain, shared: Params, per_pair: Params, light: jax.Array, keys: jax.Array | None, kept: Kept
+) -> jax.Array:
+    """(M, H, W, 3): what `render` makes, where it was computed; what is beyond N fills the last set."""
     todo = [n for n in chain.nodes if not isinstance(n, Gate) or float(shared[n.name].on) > 0.5]
     todo = [n.node if isinstance(n, Gate) else n for n in todo]
     names: list[Any] = [kept.root(light, keys)]
