@@ -28,6 +28,7 @@ from jaxisp.gap import Downstream, diagnose
 from jaxisp.gap.report.page import plain
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG
 from jaxisp.io.files import atomic_write
+from jaxisp.process.environment import one_blas_thread
 
 Record = dict[str, Any]
 _AXES = 3  # that are kept, those with most of the gap
@@ -99,6 +100,7 @@ def without_folders(text: str) -> str:
 
 def in_own_process(call: Callable[..., Record], *arguments: Any) -> Record:
     """The call's result. Its memory, up to 10 GB, goes back with the process."""
+    one_blas_thread()
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(call, *arguments).result()
 

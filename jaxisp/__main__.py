@@ -5,6 +5,7 @@ import os
 import sys
 
 from jaxisp.process import signals
+from jaxisp.process.environment import one_blas_thread
 
 
 def _open_streams() -> None:
@@ -24,6 +25,7 @@ def main() -> int:
         _open_streams()
         signals.watch()  # before all that takes time to import
         gc.set_threshold(100_000, 20, 50)  # tracing makes millions of small objects that stay: a fifth of it
+        one_blas_thread()
         from jaxisp.cli import main as command
 
         status = command()

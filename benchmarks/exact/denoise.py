@@ -1,4 +1,4 @@
-"""Denoising against OpenCV, SciPy, PyWavelets, and a loop in double precision."""
+"""Denoising and deconvolution against OpenCV, SciPy, PyWavelets and scikit-image, and loops in float64."""
 
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -8,12 +8,15 @@ import jax
 import numpy as np
 import pywt
 import scipy
+import skimage
 from scipy import ndimage
+from skimage.restoration import richardson_lucy
 
 from benchmarks.exact.row import Row, largest
 from jaxisp.stages.denoise.bilateral import bilateral_plane
 from jaxisp.stages.denoise.median import median_plane
 from jaxisp.stages.denoise.wavelet import core_plane
+from jaxisp.stages.detail import deconvolved
 from jaxisp.testing import smooth_image
 from tests.stages.test_denoise_bilateral import naive
 from tests.stages.test_denoise_median import FOOTPRINTS
@@ -33,6 +36,7 @@ def rows() -> Iterator[Row]:
         yield median(footprint)
     for method in ("bayes", "visu", "fixed"):
         yield wavelet(method)
+    yield deconvolution()
 
 
 def noisy(shape: tuple[int, int], std: float = 0.05) -> np.ndarray:
@@ -93,6 +97,24 @@ def wavelet(method: str) -> Row:
     ran = "haar, db2, db4, sym4; 1 to 3 levels; sigma 0.02 and 0.1; 29x34 to 64x65, borders too"
     reference = f"PyWavelets {version('PyWavelets')} and the formula of the threshold"
     return Row(f"wavelet coring, {method}", reference, ran, max(worst), 1e-5)
+
+
+iterated = jax.jit(deconvolved, static_argnums=(4, 5))
+
+
+def deconvolution() -> Row:
+    """From its start, which is flat; it pads with zeros, so that the inside is compared."""
+    radius, worst = 5, []
+    for iterations, sigma in ((1, 0.6), (3, 1.2), (5, 1.6)):
+        taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+        psf = np.outer(taps, taps) / taps.sum() ** 2
+        data = np.clip(noisy((134, 141), 0.02), 0.05, None)
+        want = richardson_lucy(data.astype(float), psf, num_iter=iterations, clip=False)
+        got = iterated(data, np.full_like(data, 0.5), sigma, 0.0, iterations, radius)
+        edge = 2 * iterations * radius
+        worst.append(largest(np.asarray(got)[edge:-edge, edge:-edge], want[edge:-edge, edge:-edge]))
+    ran = "1 to 5 iterations, sigma 0.6 to 1.6 px, waves with noise, without borders"
+    return Row("richardson_lucy", f"scikit-image {skimage.__version__}", ran, max(worst), 1e-5)
 
 
 def shrunk(

@@ -19,6 +19,7 @@ from jaxisp.gap.search import score
 
 Record = Mapping[str, Any]
 SCREENED = "screening preferred others: it was not refitted"
+NO_GAP = "less than half a floor above it: no gap"
 BEHIND = "refitted, and another closes more"
 DOUBTED = "closes most, and is not probable enough"
 OTHER_FIRST = "closes most, and another is named"
@@ -38,14 +39,14 @@ def row_of(record: Record) -> list[object]:
     ranked = sorted(closed, key=lambda e: -closed[e])
     named = [e for e in ranked if e in record["found"] and found.get(e, 0.0) >= least]
     own = next((e for e in ranked if e in right), None)
+    others = [e for e in ranked if e != own]
+    first = f"{others[0]} {closed[others[0]]:.2f}" if others else ""
     size = record["gap"]["before"] / record["gap"]["floor"]
     head = [record["name"].removeprefix("develop "), right[0], f"{size:.1f}"]
     if own is None:
-        return [*head, "", "", f"{ranked[0]} {closed[ranked[0]]:.2f}", SCREENED]
+        return [*head, "", "", first, SCREENED if others else NO_GAP]
     why = BEHIND if ranked[0] != own else OTHER_FIRST if named else DOUBTED
     why = NAMED if named and named[0] in right else why
-    others = [e for e in ranked if e != own]
-    first = f"{others[0]} {closed[others[0]]:.2f}" if others else ""
     return [*head, f"{closed[own]:.2f}", f"{found[own]:.2f}", first, why]
 
 

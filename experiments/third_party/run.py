@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxisp.io.files import atomic_write
+from jaxisp.process.environment import one_blas_thread
 
 from .cases import sample
 from .chance import HALVES
@@ -48,6 +49,7 @@ def run(
         found = sorted((c for c in found if c.name in chosen), key=lambda case: chosen.index(case.name))
     todo = [case for case in found if re.search(match, case.name) and possible(case, how)]
     todo = [case for case in todo if not (out / f"{case.name}.json").exists()][:limit]
+    one_blas_thread()
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=_CASES) as pool:
         for case in todo:
             record = pool.submit(diagnosed, case, how).result()

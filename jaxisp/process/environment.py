@@ -6,10 +6,21 @@ import sys
 
 from jaxisp.errors import InputError, one_line
 
+_BLAS = "OPENBLAS_NUM_THREADS"
 _FLAGS = "XLA_FLAGS"
 _READ_FLAGS = "from jaxlib import xla_client; print('here', flush=True); xla_client.CompileOptions()"
 _LONGEST = 60
 """Seconds: a check that takes longer has found nothing."""
+
+
+def one_blas_thread() -> None:
+    """Let NumPy's and SciPy's OpenBLAS compute on one thread, unless the variable says otherwise.
+
+    Its threads wait by spinning: for small products that takes up to fifty times as long on a busy machine,
+    and results depend on the number of threads. Called before NumPy is imported, or for processes that are
+    spawned.
+    """
+    os.environ.setdefault(_BLAS, "1")
 
 
 def check_environment() -> None:

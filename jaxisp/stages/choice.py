@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
@@ -158,20 +159,21 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     """
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
     forms = params.sampled, params.repeated
-    cb, cr = (_halved(_halved(c, params.horizontal, *forms).T, params.vertical, *forms).T for c in chroma)
+    across = (_halved(materialize(c.T), params.horizontal, *forms) for c in chroma)
+    cb, cr = (materialize(_halved(materialize(c.T), params.vertical, *forms)) for c in across)
     return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
 def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: jax.Array) -> jax.Array:
-    """Along the columns."""
-    width = plane.shape[1]
-    even = jnp.pad(plane, ((0, 0), (0, width % 2)), mode="edge")
-    first, second = even[:, ::2], even[:, 1::2]
+    """Along the rows: every second number of a column is a vector, of a row it is not."""
+    height = plane.shape[0]
+    even = jnp.pad(plane, ((0, height % 2), (0, 0)), mode="edge")
+    first, second = even[::2], even[1::2]
     small = first + 0.5 * (1 - sampled) * (second - first)
-    wide = jnp.pad(small, ((0, 0), (1, 1)), mode="edge")
+    tall = jnp.pad(small, ((1, 1), (0, 0)), mode="edge")
     far = 0.25 * (1 - repeated)
-    left, right = (small + far * (wide[:, s : s + small.shape[1]] - small) for s in (0, 2))
-    restored = jnp.stack([left, right], -1).reshape(even.shape)[:, :width]
+    above, below = (small + far * (tall[s : s + len(small)] - small) for s in (0, 2))
+    restored = jnp.stack([above, below], 1).reshape(even.shape)[:height]
     return plane + share * (restored - plane)
 
 

@@ -42,12 +42,13 @@ def greyed(pictures):
     return grey + (pictures - grey) * np.minimum(1, 0.08 / chroma)
 
 
-def found(shown, filed):
+def found(shown, filed, explained=None):
     current, target = to_steps(shown).astype(float), to_steps(filed).astype(float)
     counts = np.full(len(shown), 136.0**2)
     seen = Residual(target, current, np.ones(target.shape[:-1]), counts, Split((0, 2), (1, 3)))
     scale = float(((target - current) ** 2).sum(-1).mean())
-    return grain_trial(seen, np.zeros_like(target), np.zeros(1), scale, 0.05)
+    best = None if explained is None else to_steps(explained).astype(float)
+    return grain_trial(seen, np.zeros_like(target), np.zeros(1), scale, 0.05, best)
 
 
 def test_noise_is_grain(pictures):
@@ -76,6 +77,16 @@ def test_another_demosaicker_is_not_grain():
     assert found(shown, filed).closed < 0.15
     grainy = found(shown, grain(filed))
     assert grainy.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.2)
+
+
+def test_what_an_effect_explains_is_not_grain():
+    """Here the effect is noise that is known: all of it, and then all but grain."""
+    shown, _ = noisy()
+    known = shown + 0.01 * np.random.default_rng(5).standard_normal(shown.shape)
+    assert found(shown, known).closed > 0.8
+    assert found(shown, known, known).closed == 0
+    beside = found(shown, grain(known), known)
+    assert beside.params["std"] * np.sqrt(3) == pytest.approx(0.015, rel=0.15)
 
 
 @pytest.mark.parametrize("filed", [posterised, dithered, greyed])

@@ -314,3 +314,13 @@ def test_one_scene_has_no_interval(names):
     weight = np.ones(pictures.shape[:3])
     found = where(residual, pictures, weight, scenes=names, rng=np.random.default_rng(0))
     assert all(row["ci"] is None for row in found)
+
+
+def test_without_draws_shares_are_the_same():
+    rng = np.random.default_rng(0)
+    residual, picture = rng.normal(size=(2, 3, 96, 96, 3)).astype(np.float32) * 4
+    weight = rng.uniform(size=(3, 96, 96))
+    one, other = (
+        where(residual, picture, weight, rng=np.random.default_rng(1), **more) for more in ({}, {"draws": 0})
+    )
+    assert [row | {"p_value": 1.0} for row in one] == other

@@ -5,7 +5,7 @@ import pytest
 
 from jaxisp.gap.axes.pixel_features import Scene
 from jaxisp.gap.axes.regression import _Evidence
-from jaxisp.gap.axes.scores import Repeated, cut
+from jaxisp.gap.axes.scores import Regression, Repeated, cut
 from tests.gap.scenes import scenes
 
 SHOWN_IN = np.array([0, 0, 1, 2, 3, 3])  # frames of the first and the last
@@ -69,3 +69,19 @@ def test_a_scene_is_in_its_products_twice():
     others = (amounts.sum() - amounts) / 3
     expected = 2 * amounts * others - (amounts * others).mean()
     np.testing.assert_allclose(found.own_by, expected[:, None] * (pattern**2).sum((0, 1)), rtol=1e-6)
+
+
+def test_sums_of_tiles_are_those_of_their_pixels():
+    rng = np.random.default_rng(0)
+    tiles = cut((2, 70, 83), rng, np.arange(2), 2)
+    features = [rng.normal(size=(70, 83)) * (rng.uniform(size=(70, 83)) < 0.5) for _ in range(5)]
+    target, weight = rng.normal(size=(70, 83, 3)), rng.uniform(size=(70, 83))
+    regression = Regression()
+    regression.add(features, target, weight, tiles)
+    assert len(regression._gram) == len(tiles.slices) > 1
+    for k, part in enumerate(tiles.slices):
+        f, t = np.stack([p[part].ravel() for p in features]), target[part].reshape(-1, 3)
+        own = f * weight[part].ravel()
+        np.testing.assert_allclose(regression._gram[k], own @ f.T, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(regression._slope[k], own @ t, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(regression._support[k], (f != 0) @ weight[part].ravel(), rtol=1e-5)

@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from jaxisp.gap.search.screening import screen
 from jaxisp.gap.search.stepwise import _again, search
 from jaxisp.gap.search.trial import Bars, Trial
 from jaxisp.gap.simulator.model import Variant
@@ -142,3 +143,18 @@ def test_what_nothing_else_makes_up_for_stays():
     beside = HALVES | {"saturation": (0.95, 0.312, 0.0)}
     del beside["vignetting"]
     assert [name for name, _ in of_halves(beside)] == ["saturation", "chroma_subsampling"]
+
+
+def test_a_fitted_scene_that_lies_far_off_does_not_choose_what_is_refitted():
+    """All pairs lack sharpening. Of saturation the held-out pairs lack 2, one fitted pair 8 and one none."""
+    names = ("saturation", "sharpening")
+    evidence = toy.line(dict(zip(names, np.eye(2))), (0.0, 2.0))
+    ahead = evidence.design[:, 1] * np.array([0.0, 2.0, 8.0, 2.0])[:, None]
+    evidence = dataclasses.replace(evidence, wanted=evidence.wanted + ahead)
+    model = toy.model(names)
+    start = evidence.at(model, np.zeros(len(model.coordinates)))
+    drops, _ = screen(evidence, start, names)
+    assert drops == {"saturation": pytest.approx(0, abs=0.1), "sharpening": pytest.approx(4, abs=0.1)}
+    terms = toy.terms(evidence, start, criteria={"refitted": 1})
+    found = search(evidence, start, names, terms, quiet)
+    assert [trial.effect for trial, _ in found.causes] == ["sharpening"]

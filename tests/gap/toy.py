@@ -110,6 +110,9 @@ class Line:
         rows = [{"axis": a, "share": v / whole, "p_value": 0.001, "size": v} for a, v in parts.items()]
         return rows, rows
 
+    def sized(self, point: Point) -> list[dict[str, object]]:
+        return self.located(point)[0]
+
 
 def basis(count: int) -> np.ndarray:
     """(TILES SIDE, count) of mean square one and orthogonal in every tile, so that all tiles tell the

@@ -116,3 +116,15 @@ def test_a_user_without_a_home(monkeypatch, capsys):
     monkeypatch.setenv("JAXISP_DATA", "~nobody here/sets")
     assert main(["data", "fetch", "kodak"]) == 2
     assert "JAXISP_DATA=~nobody here/sets: there is no such home" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("own", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_a_command_multiplies_on_one_thread_unless_told_otherwise(own, used):
+    code = (
+        "import atexit, os, sys; sys.argv = ['jaxisp', '--version']\n"
+        "atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS']))\n"
+        "from jaxisp.__main__ import main; assert 'numpy' not in sys.modules; main()"
+    )
+    rest = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=rest | own)
+    assert done.stdout.split()[-1] == used, done.stderr

@@ -37,6 +37,7 @@ def where(
     scenes: Sequence[str] | None = None,
     scored: int | None = None,
     earlier: tuple[int, int] = (0, 0),
+    draws: int = DRAWS,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """Rank the axes by the share of the residual that they explain.
@@ -50,6 +51,7 @@ def where(
         scenes: (N,) name of each picture's scene; default: every picture shows a scene of its own.
         scored: number of leading pictures that are scored; the others are only used for fitting. None: all.
         earlier: row and column, 0 to 7, where the 8x8 blocks of an earlier compression begin; (0, 0) if none.
+        draws: of signs, for p-values; with 0 these are all 1, and shares and profiles the same.
         rng: for folds and signs.
 
     Returns:
@@ -82,14 +84,14 @@ def where(
     evidence = _Evidence(tiles, cfa_period, shown_in, scored, earlier, rng)
     for own, shown, counted in zip(residual, picture, weight):
         evidence.add(Scene(shown), own, counted)
-    signs = rng.choice((-1.0, 1.0), (DRAWS + 1, tiles.count))
+    signs = rng.choice((-1.0, 1.0), (draws + 1, tiles.count))
     signs[0] = 1
     explained = {axis: find(signs, tiles) for axis, find in evidence.axes().items()}
     p_values = _corrected({axis: e.own.sum(1) for axis, e in explained.items()})
-    found, draws = [], Draws.of(names[:scored])
+    found, drawn = [], Draws.of(names[:scored])
     for axis, e in explained.items():
         energies = np.stack(evidence.energies)[:, int(axis in POLAR_AXES)]
-        shares, row = _explains(e, energies, draws)
+        shares, row = _explains(e, energies, drawn)
         row |= {"axis": axis, "p_value": p_values[axis]}
         found.append(row | evidence.profiles.of(axis, shares))
     return sorted(found, key=lambda f: -f["share"])

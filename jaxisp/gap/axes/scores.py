@@ -9,8 +9,12 @@ are sums of squared 8-bit steps.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+_ROWS = 16
+"""Features are padded to a multiple of this: each number of them is a program."""
 _RIDGE = 30  # pixels; the ridge of every coefficient equals this many observations of 0
 
 
@@ -120,14 +124,14 @@ class Regression:
         self, features: Sequence[np.ndarray], target: np.ndarray, weight: np.ndarray, tiles: Tiles
     ) -> None:
         """Add one picture: features and weight (h, w), target (h, w, 3)."""
-        stacked = np.stack(features, -1).astype(np.float32)
-        for rows, columns in tiles.slices:
-            f = stacked[rows, columns].reshape(-1, stacked.shape[-1])
-            w = weight[rows, columns].reshape(-1, 1)
-            weighted = f * w
-            self._gram.append((f.T @ weighted).astype(np.float64))
-            self._slope.append((weighted.T @ target[rows, columns].reshape(-1, 3)).astype(np.float64))
-            self._support.append(w[:, 0] @ (f != 0))
+        stacked, count = np.stack(features), len(features)
+        planes = _by_tile(stacked, tiles, -(-count // _ROWS) * _ROWS)
+        wanted = _by_tile(np.moveaxis(target, -1, 0), tiles, 3)
+        sums = _sums(planes, wanted, _by_tile(weight[None], tiles, 1)[:, 0])
+        gram, slope, support = (np.asarray(a, np.float64) for a in sums)
+        self._gram += [*gram[:, :count, :count]]
+        self._slope += [*slope[:, :count]]
+        self._support += [*support[:, :count]]
 
     def explained(self, signs: np.ndarray, tiles: Tiles) -> Explained:
         """Energy explained by the features beyond the first `given`, for signs (D, B)."""
@@ -169,6 +173,29 @@ class Regression:
                 own = row[:, None, None] * beyond[0]
                 by_tile[draw][:, channels] = _gained(learnt @ tiles.around(own), left, own)
         return Explained(by_tile.sum(1), tiles.by_picture(by_tile[0]))
+
+
+def _by_tile(planes: np.ndarray, tiles: Tiles, count: int) -> np.ndarray:
+    """The pixels (T, count, P) of planes (K, h, w) in each tile; missing planes and pixels are 0."""
+    pixels = [planes[:, rows, columns].reshape(len(planes), -1) for rows, columns in tiles.slices]
+    found = np.zeros((len(pixels), count, max(p.shape[1] for p in pixels)), np.float32)
+    for own, piece in zip(found, pixels):
+        own[: piece.shape[0], : piece.shape[1]] = piece
+    return found
+
+
+@jax.jit
+def _sums(features: jax.Array, target: jax.Array, weight: jax.Array) -> tuple[jax.Array, ...]:
+    """Gram matrices (T, F, F), slopes (T, F, 3) and support (T, F) of (T, F, P), (T, 3, P) and (T, P).
+
+    By XLA: OpenBLAS cuts such small products into threads, which wait by spinning.
+    """
+    exact, weighted = jax.lax.Precision.HIGHEST, features * weight[:, None]
+    return (
+        jnp.einsum("tfp,tgp->tfg", features, weighted, precision=exact),
+        jnp.einsum("tfp,tcp->tfc", weighted, target, precision=exact),
+        jnp.einsum("tp,tfp->tf", weight, (features != 0).astype(weight.dtype), precision=exact),
+    )
 
 
 def _scored(

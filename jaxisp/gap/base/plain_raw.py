@@ -19,6 +19,7 @@ from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.pairs.crops import common_crop
 from jaxisp.gap.pairs.headers import raws_of, stated_warp
 from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.simulator.effects import RAW_JPEG, Effect
 from jaxisp.gap.simulator.model import (
     ROOTED,
@@ -151,14 +152,17 @@ def fit_base(model: Model, pairs: Pairs, fit_on: Sequence[int]) -> Base:
     def with_choice(choice: Variant) -> Point:
         return objective.at(own.chosen(choice.take(fit_on)), at.z)
 
-    errors, of_roots = ([with_choice(choice).error for choice in some] for some in (found, roots))
+    def error_of(choice: Variant) -> float:
+        return with_choice(choice).error
+
+    errors, of_roots = (parallel_map(error_of, some) for some in (found, roots))
     linear, root = found[int(np.argmin(errors))], roots[int(np.argmin(of_roots))]
     rooted_best = min(of_roots) < ROOTED * min(errors)
     best, rival = (root, linear) if rooted_best else (linear, None)
     at = fit(objective, with_choice(best), model.base_indices, steps=4).point
     ranked = [found[i] for i in np.argsort(errors)]
     mixes = _mixes(best, ranked)
-    mixed = [objective.at(own.chosen(mix.take(fit_on)), at.z) for mix in mixes]
+    mixed = parallel_map(with_choice, mixes)
     least = int(np.argmin([m.error for m in mixed]))
     if mixed[least].error < _MIXED * at.error:
         best = mixes[least]

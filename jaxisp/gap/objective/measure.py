@@ -143,12 +143,15 @@ class Measure:
 
     def rendered(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, H, W, 3) encoded, noise and all; the model is that of all pairs."""
-        own = model.take(self.numbers) if model.per_pair else model
-        return own.render(z, self.pairs.light, self.keys(replicate))
+        return self._own(model).render(z, self.pairs.light, self.keys(replicate))
 
     def picture(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, h, w, 3) in steps, its border cut off."""
-        return to_steps(self.rendered(model, z, replicate)[INNER])
+        return self._own(model).in_steps(z, self.pairs.light, self.keys(replicate))
+
+    def _own(self, model: Model) -> Model:
+        """The model of these pairs."""
+        return model.take(self.numbers) if model.per_pair else model
 
     def simulated(self, model: Model, z: np.ndarray, replicate: int = 0) -> np.ndarray:
         """(N, F) statistics of a simulated set."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxisp.gap.axes import Rows
-from jaxisp.gap.axes.regression import where
+from jaxisp.gap.axes.regression import DRAWS, where
 from jaxisp.gap.objective.protocol import NormalEquations, Point
 from jaxisp.gap.pairs.pairs import INNER, Pairs, to_steps
 from jaxisp.gap.pairs.scenes import Split, scene_name
@@ -101,7 +101,7 @@ class PixelObjective:
 
     def picture(self, model: Model, z: np.ndarray) -> np.ndarray:
         """(N, h, w, 3) Y'CbCr in steps, its border cut off."""
-        return to_steps(self.rendered(model, z)[INNER])
+        return model.in_steps(z, self.pairs.light)
 
     def rendered(self, model: Model, z: np.ndarray) -> np.ndarray:
         """(N, H, W, 3) encoded."""
@@ -218,16 +218,22 @@ class PixelObjective:
 
     def located(self, point: Point) -> tuple[Rows, Rows]:
         """The axes by their share of the residual, twice the same; all pairs teach what is explained."""
+        rows = self._where(point, DRAWS)
+        return rows, rows
+
+    def sized(self, point: Point) -> Rows:
+        return self._where(point, 0)
+
+    def _where(self, point: Point, draws: int) -> Rows:
         held = list(self.split.held_out)
         order = [*held, *(i for i in range(len(self.target)) if i not in set(held))]
         weight = self.weight[order][..., 0]
         residual = self.residual(point)[order] / np.maximum(weight[..., None], 1e-6)
         scenes = [scene_name(self.names[i]) for i in order]
-        rows = where(
+        return where(
             residual, point.shown[0][order], weight**2, scenes=scenes, scored=len(held), earlier=self.earlier,
-            rng=np.random.default_rng(0),
+            draws=draws, rng=np.random.default_rng(0),
         )  # fmt: skip
-        return rows, rows
 
     def floor_difference(self, point: Point, files: Sequence[Jpeg | None]) -> np.ndarray:
         """(N, h, w, 3) what rounding and the files' own compression do to the simulator's pictures, in

@@ -128,5 +128,9 @@ class Evidence(Objective, Protocol):
     def located(self, point: Point) -> tuple[Rows, Rows]:
         """The axes of the held-out pairs' error: as verdicts use them, and as they are reported."""
 
+    def sized(self, point: Point) -> Rows:
+        """The axes of the held-out pairs' error by their shares alone, which signs look at; p-values may be
+        missing."""
+
     def scenes(self, which: Sequence[int]) -> int | None:
         """How many independent scenes these pairs show; None where tiles are drawn beside pairs."""

@@ -292,14 +292,19 @@ class StatisticsObjective:
         place = in_one_place(measure.target - simulated, measure.scenes(range(len(measure.real))))
         return self.located_with(point, place)
 
+    def sized(self, point: Point) -> Rows:
+        index = list(self.split.held_out)
+        difference, apart = self.difference(point)[index].mean(0), self._apart(point, self.measure.real)
+        return located(difference, self.weights, apart[index], self.measure.scenes(index))
+
     def located_with(self, point: Point, place: np.ndarray) -> tuple[Rows, Rows]:
         """Likewise, where (h, w) bool says what stands in one place."""
+        rows = self.sized(point)
+        if not place.any():
+            return rows, rows
         measure, index = self.measure, list(self.split.held_out)
         scenes, difference = measure.scenes(index), self.difference(point)[index].mean(0)
         apart = self._apart(point, measure.real)
-        rows = located(difference, self.weights, apart[index], scenes)
-        if not place.any():
-            return rows, rows
         simulated = measure.picture(point.model, point.z)
         without = measure.measured_real(np.where(place[..., None], simulated, measure.target))
         left = self._apart(point, without)

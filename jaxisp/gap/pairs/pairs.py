@@ -1,6 +1,7 @@
 """What is compared: light, pictures, and the pixels that count."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import jax
@@ -49,6 +50,13 @@ class Pairs:
 def to_steps(pictures: np.ndarray) -> np.ndarray:
     """(..., 3) RGB in [0, 1] to (..., 3) Y'CbCr in 8-bit steps, float32."""
     return np.asarray(_to_steps(pictures))
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def inner_steps(pictures: jax.Array, count: int) -> jax.Array:
+    """(N, h, w, 3) Y'CbCr in 8-bit steps of the first N of (M, H, W, 3) encoded, clipped, without the border:
+    as one program, where whole pictures need not be on the host."""
+    return _to_steps(jnp.clip(pictures[:count][INNER], 0, 1))
 
 
 @jax.jit

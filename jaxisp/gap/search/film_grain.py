@@ -50,7 +50,14 @@ class Residual:
     split: Split
 
 
-def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, least: float) -> Trial:
+def grain_trial(
+    seen: Residual,
+    floor: np.ndarray,
+    z: np.ndarray,
+    scale: float,
+    least: float,
+    explained: np.ndarray | None = None,
+) -> Trial:
     """Measure the share of the gap that film grain accounts for.
 
     Args:
@@ -59,12 +66,16 @@ def grain_trial(seen: Residual, floor: np.ndarray, z: np.ndarray, scale: float, 
         z: coordinates of the simulator, which grain leaves unchanged.
         scale: the gap above the floor.
         least: share of `scale` that the lower end of the interval must exceed.
+        explained: (N, h, w, 3) the simulator's pictures with all effects that the search accepted, named or
+            not, in which grain is measured; default: those of `seen`. What an effect explains is no grain.
     """
     held = list(seen.split.held_out)
-    residual, flat = seen.target - seen.current, _flat(seen)
-    energy = _unpredicted(seen, residual, flat) - (floor**2).sum(-1)
-    expected = _independent(seen.current, energy, flat, seen.split.fit)
-    expected = expected * (1 - _follows_values(seen, residual, floor, flat))
+    best = seen if explained is None else dataclasses.replace(seen, current=explained)
+    residual, flat = best.target - best.current, _flat(best)
+    energy = _unpredicted(best, residual, flat) - (floor**2).sum(-1)
+    expected = _independent(best.current, energy, flat, seen.split.fit)
+    expected = expected * (1 - _follows_values(best, residual, floor, flat))
+    residual = seen.target - seen.current
     found, grainy, bottom = (
         tiled(seen.counted * square, seen.counts)[held]
         for square in ((residual**2).sum(-1), expected, (floor**2).sum(-1))

@@ -24,7 +24,8 @@ _AT_ONCE = 24
 def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict[str, float], Point]:
     """Predict linearly how far each effect lowers the held-out error, beyond a step of the base alone.
 
-    Each half of the pairs is predicted from the other half, which makes a lucky split less likely.
+    The step is fitted to the fitted pairs, and every held-out pair counts the same: so does the refit that
+    follows. The other way round, one fitted pair that lies far off would lead, though it is judged nowhere.
 
     Returns:
         the predicted drop by effect; the point with the columns computed for it.
@@ -32,16 +33,13 @@ def screen(evidence: Evidence, point: Point, names: Sequence[str]) -> tuple[dict
     model, split, base = point.model, evidence.split, _base(point)
     steps = {i: lowest(evidence, point, i) for i in searched(model, names)}
     point = _with_normals(evidence, point, names, steps | distant(evidence, point, names))
-    halves = [(split.fit, split.held_out), (split.held_out, split.fit)]
+    held = list(split.held_out)
 
     def drop(which: Sequence[int]) -> float:
         own = _normal(evidence, point, which)
-        total = 0.0
-        for learn, apply in halves:
-            move = _step(point, which, own, learn)
-            a, b = own.gram[list(apply)].mean(0), own.slope[list(apply)].mean(0)
-            total += float(2 * move @ b - move @ a @ move) / 2
-        return total
+        move = _step(point, which, own, split.fit)
+        a, b = own.gram[held].mean(0), own.slope[held].mean(0)
+        return float(2 * move @ b - move @ a @ move)
 
     own = drop(base) if base else 0.0
     return {
@@ -71,9 +69,13 @@ def _with_normals(
     normals = dict(point.normals)
     for some in _batches(model, names):
         there = evidence.compute(point, model.indices(some), steps)
+        every = [*_base(point), *model.indices(some)]
+        whole = evidence.normal(there, every)
         for name in some:
             which = _with_base(point, name)
-            normals[tuple(which)] = evidence.normal(there, which)
+            own = [every.index(i) for i in which]
+            gram = whole.gram[:, own][:, :, own]
+            normals[tuple(which)] = NormalEquations(gram, whole.slope[:, own])
         point = there if evidence.compact else point
         del there
         give_back()
@@ -185,13 +187,18 @@ def _step(point: Point, which: Sequence[int], normal: NormalEquations, learn: Se
 
 
 def _anyway(evidence: Evidence, point: Point, name: str) -> float:
-    """The drop of the error if an effect only repeats the file's own compression."""
+    """The drop of the held-out error if an effect only repeats the file's own compression."""
     z = point.z.copy()
     for i in set(point.model.indices([name])) & set(evidence.references):
         z[i] = evidence.references[i]
     if (z == point.z).all():
         return 0.0
-    return float((point.errors - evidence.at(point.model, z).errors).mean())
+    return drop_at(evidence, point, z)
+
+
+def drop_at(evidence: Evidence, point: Point, z: np.ndarray) -> float:
+    """How much lower the held-out error is at z."""
+    return float((point.errors - evidence.at(point.model, z).errors)[list(evidence.split.held_out)].mean())
 
 
 def predicted(evidence: Evidence, point: Point, effect: str) -> float:

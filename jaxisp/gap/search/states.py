@@ -24,3 +24,8 @@ def shown(evidence: Evidence, point: Point) -> Shown:
     """Measure the gap at a point."""
     held, (rows, where) = list(evidence.split.held_out), evidence.located(point)
     return Shown(float(point.errors[held].mean()), rows, where)
+
+
+def sized(evidence: Evidence, point: Point) -> Shown:
+    """Likewise by shares alone, for signs: without p-values, and without what is reported."""
+    return Shown(float(point.errors[list(evidence.split.held_out)].mean()), evidence.sized(point))

@@ -15,6 +15,7 @@ from jaxisp.gap.search.refit import distance, nearest_form, refit
 from jaxisp.gap.search.screening import (
     best,
     closer_in_pixels,
+    drop_at,
     halves,
     hidden,
     like_the_nearest,
@@ -173,8 +174,7 @@ def _tried(
     Returns:
         the trials; the predicted drop by effect; the point with its columns.
     """
-    step, split, criteria = len(causes), evidence.split, terms.criteria
-    every = (*split.fit, *split.held_out)
+    step, criteria = len(causes), terms.criteria
     tick(step, terms.most, "screening effects")
     screened = [screen(evidence, view.point, left) for view in views]
     # fits start at the first view alone
@@ -182,10 +182,10 @@ def _tried(
         view._replace(point=point if k == 0 else point.with_columns({}))
         for k, (view, (_, point)) in enumerate(zip(views, screened))
     ]
-    drops = _most(views, [found for found, _ in screened], every)
+    drops = _most(evidence, views, [found for found, _ in screened])
     point = views[0].point
     forms = _forms(evidence, point, left, criteria)
-    drops |= {name: max(drops[name], _drop(evidence, point, z, every)) for name, z in forms.items()}
+    drops |= {name: max(drops[name], drop_at(evidence, point, z)) for name, z in forms.items()}
     rest = _remaining(causes)
     least = max(terms.least, criteria.least_of_rest * rest)
 
@@ -248,10 +248,11 @@ def _views(evidence: Evidence, point: Point) -> list[_View]:
 
 
 def _most(
-    views: Sequence[_View], found: Sequence[Mapping[str, float]], which: Sequence[int]
+    evidence: Evidence, views: Sequence[_View], found: Sequence[Mapping[str, float]]
 ) -> dict[str, float]:
-    """The largest drop of each effect over the views, relative to the error of the current point."""
-    less = [0.0 if view.more is None else float(view.more[list(which)].mean()) for view in views]
+    """The largest drop of each effect over the views, relative to the held-out error of the current point."""
+    held = list(evidence.split.held_out)
+    less = [0.0 if view.more is None else float(view.more[held].mean()) for view in views]
     return {name: max(own[name] - more for own, more in zip(found, less)) for name in found[0]}
 
 
@@ -259,20 +260,15 @@ def _predicted(
     evidence: Evidence, views: Sequence[_View], names: Sequence[str], forms: Forms
 ) -> dict[str, float]:
     """The predicted drop of each effect on the held-out pairs: at its fitted form, or after one step."""
-    held = evidence.split.held_out
     steps = [{name: predicted(evidence, view.point, name) for name in names} for view in views]
-    at_forms = {name: _drop(evidence, views[0].point, z, held) for name, z in forms.items()}
-    return _most(views, steps, held) | at_forms
+    at_forms = {name: drop_at(evidence, views[0].point, z) for name, z in forms.items()}
+    return _most(evidence, views, steps) | at_forms
 
 
 def _forms(evidence: Evidence, point: Point, names: Sequence[str], criteria: Criteria) -> Forms:
     """Start points of effects with exact forms, by effect: a small step does not predict their drop."""
     found = {name: nearest_form(evidence, point, name, criteria) for name in names}
     return {name: z for name, z in found.items() if z is not None}
-
-
-def _drop(evidence: Evidence, point: Point, z: np.ndarray, which: Sequence[int]) -> float:
-    return float((point.errors - evidence.at(point.model, z).errors)[list(which)].mean())
 
 
 def _needed(evidence: Evidence, start: Point, trials: Sequence[Trial], terms: Terms) -> Sequence[Trial]:

@@ -13,11 +13,12 @@ import numpy as np
 
 from jaxisp.gap.case import Case, Gap, Tick
 from jaxisp.gap.objective.protocol import Point
+from jaxisp.gap.parallel import parallel_map
 from jaxisp.gap.search import score
 from jaxisp.gap.search.film_grain import Residual, grain_trial, with_grain
 from jaxisp.gap.search.refit import clustered
 from jaxisp.gap.search.signs import Signs, left_signs, signs
-from jaxisp.gap.search.states import Shown, shown
+from jaxisp.gap.search.states import Shown, shown, sized
 from jaxisp.gap.search.stepwise import Searched, Terms, ended, replayed, search
 from jaxisp.gap.search.trial import Cause, Trial, Whole
 
@@ -120,8 +121,9 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     noted: dict[str, Mapping[str, float]] = {name: own._asdict() for name, own in seen.items()}
     causes, at = named(case, found, probable, terms)
     trials, predicted = found.trials, found.predicted
+    end = ended(evidence, start, *(t for t, _ in found.causes))
     if case.stored is not None:
-        grain = _grain(case, at, gap.scale, terms.least)
+        grain = _grain(case, at, end, gap.scale, terms.least)
         noted[grain.effect] = own = grain_signs(gap, grain)
         probable[grain.effect] = score.probability(score.GRAIN, own)
         if terms.most and probable[grain.effect] >= criteria.named:
@@ -130,7 +132,6 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
     after = shown(evidence, at) if causes else before
     refused = None
     if not causes and found.causes:
-        end = ended(evidence, start, *(t for t, _ in found.causes))
         refused = Refused(by_closure(found.causes), shown(evidence, end), end)
     above: Gap | None = None
     if causes:
@@ -159,14 +160,16 @@ def effect_signs(case: Case, gap: Gap, found: Searched, before: Shown) -> dict[s
         return signs(case.kind, gap, trial, step, numbers, agreed, (was, now), left)
 
     first = sorted(found.steps[0] if found.steps else [], key=lambda t: -t.closed)
-    states = {t.effect: shown(evidence, ended(evidence, start, t)) for t in first[:_LOCATED]}
+    located = first[:_LOCATED]
+    sizes = parallel_map(lambda t: sized(evidence, ended(evidence, start, t)), located)
+    states = dict(zip((t.effect for t in located), sizes))
     for trial in first:
         now = states.get(trial.effect, before)
         own[trial.effect] = of(trial, first, found.halves.get(trial.effect, 0.0), before, now)
     at, was = start, before
     for k, (trial, _) in enumerate(found.causes):
         at = ended(evidence, at, trial)
-        now = states[trial.effect] if k == 0 and trial.effect in states else shown(evidence, at)
+        now = states[trial.effect] if k == 0 and trial.effect in states else sized(evidence, at)
         if k:
             own[trial.effect] = of(trial, found.steps[k], found.halves.get(trial.effect, 0.0), was, now)
         was = now
@@ -198,12 +201,13 @@ def grain_signs(gap: Gap, grain: Trial) -> dict[str, float]:
     }
 
 
-def _grain(case: Case, at: Point, scale: float, least: float) -> Trial:
-    """The trial of film grain; it needs RAW+JPEG pairs with known errors of the file's compression."""
+def _grain(case: Case, at: Point, end: Point, scale: float, least: float) -> Trial:
+    """The trial of film grain beside the causes. It is measured beside all effects that the search accepted,
+    and needs RAW+JPEG pairs with known errors of the file's compression."""
     pixels, stored = case.pixels, case.stored
     assert pixels is not None and stored is not None
     seen = Residual(pixels.target, at.shown[0], pixels.weight[..., 0] ** 2, pixels.counts, case.split)
-    return grain_trial(seen, stored, at.z, scale, least)
+    return grain_trial(seen, stored, at.z, scale, least, end.shown[0])
 
 
 def _as_added(

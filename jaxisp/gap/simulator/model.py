@@ -14,9 +14,10 @@ import numpy as np
 
 from jaxisp.camera import with_cfa
 from jaxisp.domains import CAMERA, ENCODED, MOSAIC
+from jaxisp.gap.pairs.pairs import inner_steps
 from jaxisp.gap.simulator.effects import EFFECTS, Effect, Move
 from jaxisp.gap.simulator.remainder import FILE_NOISE, PICTURE_LIGHT
-from jaxisp.gap.simulator.render import Kept, render
+from jaxisp.gap.simulator.render import Kept, in_sets, render
 from jaxisp.pipeline import Chain, Gate, Node, Params, Stage, Switch, stage
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.power import Gamma
@@ -163,6 +164,11 @@ class Model:
     def render(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
         """(N, H, W, 3) encoded, clipped to [0, 1], of all pairs."""
         return np.clip(render(self.chain, self.params(z), self.per_pair, light, keys, self.kept), 0, 1)
+
+    def in_steps(self, z: np.ndarray, light: jax.Array, keys: jax.Array | None = None) -> np.ndarray:
+        """(N, h, w, 3) the same in 8-bit steps of Y'CbCr, the border cut off."""
+        pictures = in_sets(self.chain, self.params(z), self.per_pair, light, keys, self.kept)
+        return np.asarray(inner_steps(pictures, len(light)))
 
     def take(self, which: Sequence[int]) -> "Model":
         """The model of some of the pairs."""

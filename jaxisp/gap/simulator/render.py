@@ -67,6 +67,13 @@ def render(
         keys: (N,) of stochastic nodes, or None.
         kept: of earlier calls.
     """
+    return np.asarray(in_sets(chain, shared, per_pair, light, keys, kept))[: len(light)]
+
+
+def in_sets(
+    chain: Chain, shared: Params, per_pair: Params, light: jax.Array, keys: jax.Array | None, kept: Kept
+) -> jax.Array:
+    """(M, H, W, 3): what `render` makes, where it was computed; what is beyond N fills the last set."""
     todo = [n for n in chain.nodes if not isinstance(n, Gate) or float(shared[n.name].on) > 0.5]
     todo = [n.node if isinstance(n, Gate) else n for n in todo]
     names: list[Any] = [kept.root(light, keys)]
@@ -85,7 +92,7 @@ def render(
         own, each = owned[k]
         picture = _run(todo[k], jax.tree.map(_whole_sets, each), own, picture, keys, len(light))
         kept.put(names[k + 1], picture)
-    return np.asarray(picture)[: len(light)]
+    return picture
 
 
 def _bytes(params: Any) -> tuple[bytes, ...]:
