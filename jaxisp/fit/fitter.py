@@ -173,7 +173,8 @@ def _ahead(options: Options, shot: Shot, mesh: Mesh | None) -> list["Future[Any]
     """Begin to compile what the fit of a pair like this one needs, while others are still aligned."""
     return [
         ahead(lambda: compile_for(options.problem(shot.jpeg), mesh)),
-        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, design) for design in options.designs]),
+        ahead(lambda: with_source(shot.chunks[0], shot.cfa, options.first)),
+        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, d, once=True) for d in options.others]),
     ]
 
 

@@ -123,7 +123,7 @@ class _Steps(NamedTuple):
         shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
         tail = model.back(self.problem.place, self.problem.inserted)
         images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
-        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
+        images = materialize(jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1))  # as every file is
         return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
 
 
@@ -156,10 +156,9 @@ def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Arr
 
 
 def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
-    """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged without one."""
+    """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged where none does."""
     encoder = problem.encoder
-    if encoder is None:
-        return images
+    assert encoder is not None
 
     def encode(images: jax.Array) -> jax.Array:
         coded = jax.vmap(lambda image: encoder.apply(given.encoder, image, None))
@@ -188,7 +187,8 @@ def _robust(residual: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _sums(render: jax.Array, chunk: Chunk) -> jax.Array:
-    return jax.vmap(noise.moments)(render, chunk.flat, chunk.edges).sum(0)
+    moments = functools.partial(noise.moments, xp=jnp)
+    return jax.vmap(moments)(render, chunk.flat, chunk.edges).sum(0)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -202,8 +202,10 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
     vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
     wanted = jnp.concatenate([jnp.ones(1, bool), given.moving])
     done = _renders(problem, given, vectors, wanted, chunk)
-    compared = materialize(_compressed(problem, given, materialize(done.image)))
-    residual = _residual(compared, chunk).ravel()
+    residual, sums = done.residuals[0], done.sums[0]
+    if problem.encoder is not None:
+        compared = materialize(_compressed(problem, given, materialize(done.image)))
+        residual, sums = _residual(compared, chunk).ravel(), _sums(compared, chunk)
     loss, weight = _robust(residual)
     share = (given.moving / steps)[:, None]
     jacobian = (done.residuals[1:] - done.residuals[0]) * share
@@ -225,7 +227,7 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
         jax.lax.cond(given.moving.any(), by_colour, lambda j: jnp.zeros((COLOURS**3, len(j))), jacobian),
         loss,
         chunk.mask.sum(),
-        _sums(compared, chunk),
+        sums,
         (done.sums[1:] - done.sums[0]) * share,
         jacobian,
         product(near, weighted),
@@ -252,9 +254,3 @@ def on_nothing(problem: Problem) -> tuple[Given, np.ndarray, Chunk]:
     no, encoder = np.bool_(False), problem.encoder.init() if problem.encoder else {}
     given = Given(start, np.int32(0), still, no, no, encoder, moving)
     return given, np.zeros(columns, np.float32), no_chunk()
-
-
-@jax.jit
-def sums_of(render: jax.Array, chunk: Chunk) -> jax.Array:
-    """The sums for the noise statistics of tiles that were rendered."""
-    return _sums(render, chunk)

@@ -41,6 +41,18 @@ class State:
         )
 
 
+class Slopes(NamedTuple):
+    """All chunks at a state, with derivatives: what equations are put together from, whatever a fit weighs.
+
+    Args:
+        parts: a `problem.Normal` each, without its Jacobian.
+        jacobians: as `spread.each` gives and takes them.
+    """
+
+    parts: Any
+    jacobians: Any
+
+
 @dataclasses.dataclass(frozen=True)
 class Equations:
     """All chunks together: the Hessian and the gradient of the objective in the order of a `State`."""
