@@ -215,11 +215,7 @@ def _measured(outcome: Outcome, shots: Sequence[tuple[Given, Shot]]) -> list[Pai
 def _params(outcome: Outcome, pair: int) -> Params:
     """The bounded parameters of one image."""
     layout, state = outcome.fit.problem.layout, outcome.state
-    found = layout.params(outcome.fit.fixed, state.camera, state.images[pair])
-    return {
-        stage: type(v)(**{f: np.asarray(getattr(v, f), np.float32) for f in specs(type(v))})
-        for stage, v in found.items()
-    }
+    return layout.bounded(outcome.fit.fixed, state.camera, state.images[pair])
 
 
 def _without(outcome: Outcome, bad: Sequence[int]) -> Any:

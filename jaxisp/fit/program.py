@@ -110,13 +110,15 @@ class _Steps(NamedTuple):
         return jax.vmap(tile)(self.chunk.source, self.chunk.place)
 
     def denoise(self, vector: jax.Array, warped: jax.Array) -> jax.Array:
+        """What is seen afterwards of the tiles."""
         values = self.params(vector)
 
         def tile(image: jax.Array, at: jax.Array) -> jax.Array:
             radius2 = self.lines(vector, at, lens.Lens.of(values))[1]
             return _front(self.problem.place, self.given.median, values, image, radius2)
 
-        return jax.vmap(tile)(warped, self.chunk.place)
+        seen = slice(HALO - AFTER, AFTER - HALO)
+        return jax.vmap(tile)(warped, self.chunk.place)[:, seen, seen]
 
     def finish(self, vector: jax.Array, denoised: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
         values = self.params(vector)
@@ -135,24 +137,27 @@ def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Arr
     """
     steps, count = _Steps(problem, given, chunk), len(vectors)
     warps, denoises = (np.asarray([0, *(1 + i for i in columns)]) for columns in problem.before)
-    image = jnp.zeros((TILES, SIDE, SIDE, 3))
-    warped = _each(steps.warp, image, wanted[warps], vectors[warps])
-    sources = _standing(warps, count)[denoises]
+    warped = _each(steps.warp, jnp.zeros((TILES, SIDE, SIDE, 3)), wanted[warps], vectors[warps])
+    sources, side = _standing(warps, count)[denoises], TILE + 2 * AFTER
     denoised = _each(
         lambda vector, source: steps.denoise(vector, warped[source]),
-        image, wanted[denoises], vectors[denoises], sources,
+        jnp.zeros((TILES, side, side, 3)), wanted[denoises], vectors[denoises], sources,
     )  # fmt: skip
-    seen = slice(HALO - AFTER, AFTER - HALO)
-    denoised = denoised[:, :, seen, seen]
     nothing = jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)
+
+    def finish(image: jax.Array, row: Any) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        wanted, vector, source, sampled, shown = row
+        residual, sums, own = jax.lax.cond(
+            wanted, lambda: steps.finish(vector, denoised[source], sampled), lambda: nothing
+        )
+        return jnp.where(shown, own, image), (residual, sums)
+
     rows = np.append(np.arange(count), 0)  # the last is what the encoder gets
-    needed = jnp.append(wanted, given.encodes)
+    needed, shown = (jnp.append(first, given.encodes) for first in (wanted, np.arange(count) == 0))
     sampled = np.append(np.ones(count, np.float32), np.float32(0))
-    residuals, sums, images = _each(
-        lambda vector, source, share: steps.finish(vector, denoised[source], share),
-        nothing, needed, vectors[rows], _standing(denoises, count)[rows], sampled,
-    )  # fmt: skip
-    return Rendered(residuals[:-1], sums[:-1], jnp.where(given.encodes, images[-1], images[0]))
+    every = needed, vectors[rows], _standing(denoises, count)[rows], sampled, shown
+    image, (residuals, sums) = jax.lax.scan(finish, nothing[-1], every)
+    return Rendered(residuals[:-1], sums[:-1], image)
 
 
 def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:

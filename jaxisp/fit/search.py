@@ -15,6 +15,7 @@ from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
+from jaxisp.fit.program import COLOURS, colour_cells
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import Equations, Slopes, State, View
@@ -159,6 +160,7 @@ class Search:
         self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
         self._sources: dict[tuple[str, int, bool], tuple[View, ...]] = {}
+        self._tallied = [_tallied(shot) for shot in self.shots]
         self._done = 0
         self._scale: float | None = None
         begun = begin(self.views(self.options.first), self._stated_lens())
@@ -196,9 +198,11 @@ class Search:
                 View(
                     tuple(with_source(c, shot.cfa, design, once=once) for c in shot.chunks[:count]),
                     shot.geometry,
+                    sums[:count].sum(axis=0),
+                    pixels[:count].sum(axis=0),
                     self._encoder(shot.jpeg),
                 )
-                for shot, count in zip(self.shots, counts)
+                for shot, count, (sums, pixels) in zip(self.shots, counts, self._tallied)
             )
         return self._sources[key]
 
@@ -273,7 +277,7 @@ class Search:
 
     def _bends(self, state: State) -> bool:
         """Whether distortion or lateral colour moves the corner by so much that it counts."""
-        params = self.problem.layout.params(self.start, state.camera, state.images[0])
+        params = self.problem.layout.bounded(self.start, state.camera, state.images[0])
         corner = float(np.mean([s.chunks[0].corner for s in self.shots]))
         return max(abs(v) for v in Lens.of(params).in_the_corner(corner).values()) > SMALLEST
 
@@ -383,6 +387,15 @@ class Search:
             + self.options.trials
             + 6
         )
+
+
+def _tallied(shot: Shot) -> tuple[np.ndarray, np.ndarray]:
+    """(chunks, m) and (chunks, cells): `View.sums` and `View.pixels` of each."""
+    sums, pixels = [], []
+    for c in shot.chunks:
+        sums.append(np.sum([noise.moments(*t) for t in zip(c.target, c.flat, c.edges)], axis=0, dtype=float))
+        pixels.append(np.bincount(colour_cells(np, c.target).ravel(), np.ravel(c.mask), COLOURS**3))
+    return np.stack(sums), np.stack(pixels)
 
 
 def _again(state: State) -> State:

@@ -10,7 +10,6 @@ from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
-from jaxisp.fit.program import COLOURS, colour_cells
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.spread import Call, each
 from jaxisp.fit.state import Equations, Place, Slopes, State, View
@@ -71,8 +70,7 @@ class Fit:
         self.bends = np.bool_(design.lens)
         self.moving = problem.moving(design.lens, design.median is not None)
         self.problem, self.fixed, self.views, self.start = problem, as_arrays(fixed), tuple(views), start
-        tiles = [tile for v in views for c in v.chunks for tile in zip(c.target, c.flat, c.edges)]
-        self.wanted = np.stack([noise.moments(*tile) for tile in tiles]).sum(axis=0, dtype=np.float64)
+        self.wanted = np.sum([view.sums for view in views], axis=0)
         stages = (
             [stage for stage, _ in problem.layout.names[CAMERA]],
             [stage for stage, _ in problem.layout.names[IMAGE]],
@@ -83,9 +81,9 @@ class Fit:
         # minus two log posteriors are loss / (patch variance) + deviations**2, and the variance of a residual
         # is half a pixel's mean loss (luma, and Cb and Cr at a half); this is in units of the mean loss
         self.patches = {kind: np.float32(patches[kind]) for kind in KINDS}
-        self._pixels = np.stack([_by_colour(view) for view in views])
+        self._pixels = np.stack([view.pixels for view in views])
         self._share = 1 / (2 * max(self._pixels.sum(), 1))
-        self._origin = as_arrays(problem.layout.params(fixed, start.camera, start.images[0]))
+        self._origin = problem.layout.bounded(fixed, start.camera, start.images[0])
         self.scale = 1.0
         self.scale = max(self.loss(now or start), 1e-7) if scale is None else scale
 
@@ -327,13 +325,6 @@ def patch_at(at: Equations, columns: np.ndarray) -> float:
     told = np.linalg.inv(data + PATCH * variance * np.eye(len(data)))
     vary = np.einsum("ci,ij,cj", scores, told, scores) * count / (count - 1)
     return max(PATCH, float(vary / max(np.einsum("ij,ji", told, data) * variance, 1e-12)))
-
-
-def _by_colour(view: View) -> np.ndarray:
-    """(cells,) how many pixels of each cell of colour are fitted."""
-    own = [np.bincount(np.ravel(colour_cells(np, np.asarray(c.target))), np.ravel(c.mask), COLOURS**3)
-           for c in view.chunks]  # fmt: skip
-    return np.sum(own, axis=0)
 
 
 def _flat(state: State) -> np.ndarray:

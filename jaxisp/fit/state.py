@@ -11,10 +11,13 @@ from jaxisp.pipeline import Params
 
 class View(NamedTuple):
     """The tiles of one pair as they are fitted: demosaicked, where they lie, and the parameters of its
-    file's JPEG encoder, None where that is not rendered."""
+    file's JPEG encoder, None where that is not rendered. Of the picture the sums of `noise.moments`, and how
+    many pixels of each cell of colour are fitted."""
 
     chunks: tuple[Chunk, ...]
     geometry: np.ndarray
+    sums: np.ndarray
+    pixels: np.ndarray
     encoder: Params | None = None
 
 
