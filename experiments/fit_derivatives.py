@@ -29,7 +29,6 @@ from jaxisp.fit.tiles import Chunk, prepare
 from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 
-AFTER_DENOISING = slice(8, -8)
 STEP64 = 1e-5
 CALLS = 3
 
@@ -54,7 +53,7 @@ def fit_of(folder: str, camera: Recipe) -> tuple[Fit, State]:
 def residual(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> jax.Array:
     """(N,) of the four tiles, before the encoder."""
     steps = _Steps(problem, given, chunk)
-    denoised = steps.denoise(vector, steps.warp(vector))[:, AFTER_DENOISING, AFTER_DENOISING]
+    denoised = steps.denoise(vector, steps.warp(vector))
     return steps.finish(vector, denoised, jnp.ones((), vector.dtype))[0]
 
 
@@ -75,7 +74,7 @@ def jacfwd_shared(problem: Problem, given: Given, vector: jax.Array, chunk: Chun
     early = np.asarray(problem.before[1])
     late = np.setdiff1d(np.arange(len(vector)), early)
     steps = _Steps(problem, given, chunk)
-    denoised = steps.denoise(vector, steps.warp(vector))[:, AFTER_DENOISING, AFTER_DENOISING]
+    denoised = steps.denoise(vector, steps.warp(vector))
 
     def through_all(part: jax.Array) -> jax.Array:
         return residual(problem, given, vector.at[early].set(part), chunk)

@@ -44,7 +44,7 @@ def standard_errors(fit: Fit, state: State, at: Equations) -> list[Identified]:
     precision = at.data / variance + np.eye(len(at.data)) / PRIOR**2
     spread = np.sqrt(np.maximum(np.linalg.inv(precision).diagonal(), 0))[:columns]
     layout = fit.problem.layout
-    params = layout.params(fit.fixed, state.camera, state.images[0] if layout.size(IMAGE) else np.zeros(0))
+    params = layout.bounded(fit.fixed, state.camera, state.images[0] if layout.size(IMAGE) else np.zeros(0))
     found = []
     index = 0
     for stage, field, flag, shape in layout.leaves:

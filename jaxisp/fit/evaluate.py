@@ -80,11 +80,8 @@ def _noise(done: np.ndarray, target: np.ndarray, mask: np.ndarray) -> dict[str, 
     h, w = (n // noise.BLOCK * noise.BLOCK for n in target.shape[:2])
     done, target, mask = done[:h, :w], target[:h, :w], mask[:h, :w]
     found = noise.regions(target, mask)
-    sums = [np.asarray(_moments(p, found.flat, found.edges)) for p in (done, target)]
+    sums = [noise.moments(p, found.flat, found.edges) for p in (done, target)]
     return noise.report(sums[0], sums[1], found.levels)
-
-
-_moments = jax.jit(noise.moments)
 
 
 def _flags(pair: PairResult, done: np.ndarray, target: np.ndarray, masks: Split) -> tuple[str, ...]:

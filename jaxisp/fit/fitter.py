@@ -173,7 +173,8 @@ def _ahead(options: Options, shot: Shot, mesh: Mesh | None) -> list["Future[Any]
     """Begin to compile what the fit of a pair like this one needs, while others are still aligned."""
     return [
         ahead(lambda: compile_for(options.problem(shot.jpeg), mesh)),
-        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, design) for design in options.designs]),
+        ahead(lambda: with_source(shot.chunks[0], shot.cfa, options.first)),
+        ahead(lambda: [with_source(shot.chunks[0], shot.cfa, d, once=True) for d in options.others]),
     ]
 
 
@@ -214,11 +215,7 @@ def _measured(outcome: Outcome, shots: Sequence[tuple[Given, Shot]]) -> list[Pai
 def _params(outcome: Outcome, pair: int) -> Params:
     """The bounded parameters of one image."""
     layout, state = outcome.fit.problem.layout, outcome.state
-    found = layout.params(outcome.fit.fixed, state.camera, state.images[pair])
-    return {
-        stage: type(v)(**{f: np.asarray(getattr(v, f), np.float32) for f in specs(type(v))})
-        for stage, v in found.items()
-    }
+    return layout.bounded(outcome.fit.fixed, state.camera, state.images[pair])
 
 
 def _without(outcome: Outcome, bad: Sequence[int]) -> Any:

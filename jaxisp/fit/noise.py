@@ -5,14 +5,12 @@ away; what is left has a standard deviation and a correlation with its neighbour
 levels, of luma and of chroma (Cb and Cr together), by intensity.
 """
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.arrays.planes import planes
 from jaxisp.color import LUMA_601, rgb_to_ycbcr_planes
 from jaxisp.fit.planes import blur
 
@@ -68,30 +66,35 @@ def regions(target: np.ndarray, mask: np.ndarray) -> Regions:
     return Regions(flat, edges.astype(np.float32), levels)
 
 
-def moments(image: Any, flat: Any, edges: Any) -> jax.Array:
+def moments(image: Any, flat: Any, edges: Any, xp: Any = np) -> Any:
     """Sums that the statistics follow from; they add up over tiles.
 
     Args:
         image: (H, W, 3) encoded.
         flat, edges: of `Regions`.
+        xp: jax.numpy where it is part of a program: by itself that takes longer to compile than to run.
 
     Returns:
         (SUMS,): per bin and kind the weight, the sum of squares and of neighbour products
         of the noise; the weight of edges, and the sum of squared detail there.
     """
-    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
-    per_kind = []
-    for kind in ((y,), (cb, cr)):
-        noise = [_detrended(p, jnp) for p in kind]
-        square = sum((e * e).mean((-2, -1)) for e in noise)
-        across = sum((e[..., 1:] * e[..., :-1]).mean((-2, -1)) for e in noise)
-        down = sum((e[..., 1:, :] * e[..., :-1, :]).mean((-2, -1)) for e in noise)
-        count = flat.sum((-2, -1)) * len(kind)
-        per_kind.append(
-            jnp.stack([count, (flat * square).sum((-2, -1)), (flat * (across + down) / 2).sum((-2, -1))], -1)
-        )
-    detail = edges * _detail(y) ** 2
-    return jnp.concatenate([jnp.stack(per_kind, 1).ravel(), jnp.stack([edges.sum(), detail.sum()])])
+    ycbcr = rgb_to_ycbcr_planes(*xp.moveaxis(image, -1, 0))
+
+    def products(plane: Any) -> Any:
+        noise = _detrended(plane, xp)
+        across = (noise[..., 1:] * noise[..., :-1]).mean((-2, -1))
+        down = (noise[..., 1:, :] * noise[..., :-1, :]).mean((-2, -1))
+        return xp.stack([(noise * noise).mean((-2, -1)), (across + down) / 2])
+
+    # mapped, a third is compiled; one by one, a whole picture takes a third of the memory
+    y, cb, cr = jax.vmap(products)(xp.stack(ycbcr)) if xp is jnp else map(products, ycbcr)
+    count = flat.sum((-2, -1))
+    per_kind = [
+        xp.stack([channels * count, *(flat * each[:, None]).sum((-2, -1))], -1)
+        for channels, each in ((1, y), (2, cb + cr))
+    ]
+    detail = edges * _detail(ycbcr[0], xp) ** 2
+    return xp.concatenate([xp.stack(per_kind, 1).ravel(), xp.stack([edges.sum(), detail.sum()])])
 
 
 def rounded(sums: np.ndarray) -> np.ndarray:
@@ -198,9 +201,9 @@ def _detrended(plane: Any, xp: Any) -> Any:
     return b - tilt_y * arm[:, None] - tilt_x * arm
 
 
-def _detail(plane: jax.Array) -> jax.Array:
+def _detail(plane: Any, xp: Any) -> Any:
     """What a 5x5 box takes away: large in the overshoot of an edge."""
     h, w = plane.shape
-    padded = jnp.pad(plane, 2, mode="edge")
-    rows = functools.reduce(jnp.add, [padded[i : i + h] for i in range(5)])
-    return plane - functools.reduce(jnp.add, [rows[:, j : j + w] for j in range(5)]) / 25
+    padded = xp.pad(plane, 2, mode="edge")
+    rows = sum(padded[i : i + h] for i in range(5))
+    return plane - sum(rows[:, j : j + w] for j in range(5)) / 25

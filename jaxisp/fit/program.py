@@ -110,20 +110,22 @@ class _Steps(NamedTuple):
         return jax.vmap(tile)(self.chunk.source, self.chunk.place)
 
     def denoise(self, vector: jax.Array, warped: jax.Array) -> jax.Array:
+        """What is seen afterwards of the tiles."""
         values = self.params(vector)
 
         def tile(image: jax.Array, at: jax.Array) -> jax.Array:
             radius2 = self.lines(vector, at, lens.Lens.of(values))[1]
             return _front(self.problem.place, self.given.median, values, image, radius2)
 
-        return jax.vmap(tile)(warped, self.chunk.place)
+        seen = slice(HALO - AFTER, AFTER - HALO)
+        return jax.vmap(tile)(warped, self.chunk.place)[:, seen, seen]
 
     def finish(self, vector: jax.Array, denoised: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
         values = self.params(vector)
         shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
         tail = model.back(self.problem.place, self.problem.inserted)
         images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
-        images = jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1)  # as every file is
+        images = materialize(jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1))  # as every file is
         return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
 
 
@@ -135,31 +137,33 @@ def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Arr
     """
     steps, count = _Steps(problem, given, chunk), len(vectors)
     warps, denoises = (np.asarray([0, *(1 + i for i in columns)]) for columns in problem.before)
-    image = jnp.zeros((TILES, SIDE, SIDE, 3))
-    warped = _each(steps.warp, image, wanted[warps], vectors[warps])
-    sources = _standing(warps, count)[denoises]
+    warped = _each(steps.warp, jnp.zeros((TILES, SIDE, SIDE, 3)), wanted[warps], vectors[warps])
+    sources, side = _standing(warps, count)[denoises], TILE + 2 * AFTER
     denoised = _each(
         lambda vector, source: steps.denoise(vector, warped[source]),
-        image, wanted[denoises], vectors[denoises], sources,
+        jnp.zeros((TILES, side, side, 3)), wanted[denoises], vectors[denoises], sources,
     )  # fmt: skip
-    seen = slice(HALO - AFTER, AFTER - HALO)
-    denoised = denoised[:, :, seen, seen]
     nothing = jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)
+
+    def finish(image: jax.Array, row: Any) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        wanted, vector, source, sampled, shown = row
+        residual, sums, own = jax.lax.cond(
+            wanted, lambda: steps.finish(vector, denoised[source], sampled), lambda: nothing
+        )
+        return jnp.where(shown, own, image), (residual, sums)
+
     rows = np.append(np.arange(count), 0)  # the last is what the encoder gets
-    needed = jnp.append(wanted, given.encodes)
+    needed, shown = (jnp.append(first, given.encodes) for first in (wanted, np.arange(count) == 0))
     sampled = np.append(np.ones(count, np.float32), np.float32(0))
-    residuals, sums, images = _each(
-        lambda vector, source, share: steps.finish(vector, denoised[source], share),
-        nothing, needed, vectors[rows], _standing(denoises, count)[rows], sampled,
-    )  # fmt: skip
-    return Rendered(residuals[:-1], sums[:-1], jnp.where(given.encodes, images[-1], images[0]))
+    every = needed, vectors[rows], _standing(denoises, count)[rows], sampled, shown
+    image, (residuals, sums) = jax.lax.scan(finish, nothing[-1], every)
+    return Rendered(residuals[:-1], sums[:-1], image)
 
 
 def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
-    """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged without one."""
+    """The tiles, which lie on its grid, as the file's own encoder leaves them; unchanged where none does."""
     encoder = problem.encoder
-    if encoder is None:
-        return images
+    assert encoder is not None
 
     def encode(images: jax.Array) -> jax.Array:
         coded = jax.vmap(lambda image: encoder.apply(given.encoder, image, None))
@@ -188,7 +192,8 @@ def _robust(residual: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _sums(render: jax.Array, chunk: Chunk) -> jax.Array:
-    return jax.vmap(noise.moments)(render, chunk.flat, chunk.edges).sum(0)
+    moments = functools.partial(noise.moments, xp=jnp)
+    return jax.vmap(moments)(render, chunk.flat, chunk.edges).sum(0)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -202,8 +207,10 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
     vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
     wanted = jnp.concatenate([jnp.ones(1, bool), given.moving])
     done = _renders(problem, given, vectors, wanted, chunk)
-    compared = materialize(_compressed(problem, given, materialize(done.image)))
-    residual = _residual(compared, chunk).ravel()
+    residual, sums = done.residuals[0], done.sums[0]
+    if problem.encoder is not None:
+        compared = materialize(_compressed(problem, given, materialize(done.image)))
+        residual, sums = _residual(compared, chunk).ravel(), _sums(compared, chunk)
     loss, weight = _robust(residual)
     share = (given.moving / steps)[:, None]
     jacobian = (done.residuals[1:] - done.residuals[0]) * share
@@ -225,7 +232,7 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
         jax.lax.cond(given.moving.any(), by_colour, lambda j: jnp.zeros((COLOURS**3, len(j))), jacobian),
         loss,
         chunk.mask.sum(),
-        _sums(compared, chunk),
+        sums,
         (done.sums[1:] - done.sums[0]) * share,
         jacobian,
         product(near, weighted),
@@ -252,9 +259,3 @@ def on_nothing(problem: Problem) -> tuple[Given, np.ndarray, Chunk]:
     no, encoder = np.bool_(False), problem.encoder.init() if problem.encoder else {}
     given = Given(start, np.int32(0), still, no, no, encoder, moving)
     return given, np.zeros(columns, np.float32), no_chunk()
-
-
-@jax.jit
-def sums_of(render: jax.Array, chunk: Chunk) -> jax.Array:
-    """The sums for the noise statistics of tiles that were rendered."""
-    return _sums(render, chunk)

@@ -15,9 +15,10 @@ from jaxisp.fit.begin import begin
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
+from jaxisp.fit.program import COLOURS, colour_cells
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.state import State, View
+from jaxisp.fit.state import Equations, Slopes, State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
 from jaxisp.params import map_specs
@@ -29,8 +30,7 @@ FAR, STRESSED = (
     2.0,
     4,
 )  # tolerances that all intensities together may be off, and by what else they weigh more
-MOST_TRIALS = 5  # of one kind of choice that get a step
-TRIAL = 1  # steps that each discrete choice gets, the present one too: a second one changes no ranking
+MOST_TRIALS = 5  # of one kind of choice that get steps
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
 FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
 START_STEPS = 4  # that each of several starts gets before one is chosen
@@ -38,6 +38,7 @@ SHOWS = 0.99  # of the objective, that the lens must reach
 COARSE = 4  # groups of tiles that the phases before the last one take, where there are so many
 
 Tick = Callable[[int, int, str], Any]
+Near = Callable[[], Equations]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,12 +102,13 @@ class Options:
         return Problem(self.place, Layout.of(start, flags), own[0] if own else None, self.inserted)
 
     @property
-    def designs(self) -> list[model.Design]:
-        """Those that differ in how they demosaick."""
+    def others(self) -> list[model.Design]:
+        """Those that demosaick otherwise than the first and will be tried."""
         if self.demosaic != "auto":
-            return [self.first]
+            return []
         plain = [dataclasses.replace(self.first, demosaic=name) for name in model.DEMOSAICKERS]
-        return [*plain, dataclasses.replace(self.first, passes=1)]
+        more = dataclasses.replace(self.first, passes=self.first.passes + 1)
+        return [design for design in (*plain, more) if design != self.first]
 
     @property
     def trials(self) -> int:
@@ -157,7 +159,8 @@ class Search:
         """Where these shots start from."""
         self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
-        self._sources: dict[tuple[str, int], tuple[View, ...]] = {}
+        self._sources: dict[tuple[str, int, bool], tuple[View, ...]] = {}
+        self._tallied = [_tallied(shot) for shot in self.shots]
         self._done = 0
         self._scale: float | None = None
         begun = begin(self.views(self.options.first), self._stated_lens())
@@ -179,19 +182,27 @@ class Search:
         state = self._run(f"{name} first", fit, self.origin, min(self.options.steps, FIRST_STEPS))
         return self.finish(design, state, name)
 
-    def views(self, design: model.Design) -> tuple[View, ...]:
-        """The tiles with the design's demosaicking; those of the last few designs are kept."""
-        key = design.demosaic, design.passes
+    def views(self, design: model.Design, whole: bool = True) -> tuple[View, ...]:
+        """The tiles with the design's demosaicking, or some groups of them; those of the last few are kept.
+
+        Some groups are for trials: a program for them, other than the first design's, need not be quick.
+        """
+        first = self.options.first
+        key = design.demosaic, design.passes, whole
+        once = not whole and key[:2] != (first.demosaic, first.passes)
         if key not in self._sources:
             while len(self._sources) > 1:
                 self._sources.pop(next(iter(self._sources)))
+            counts = [len(shot.chunks) for shot in self.shots] if whole else self._coarse()
             self._sources[key] = tuple(
                 View(
-                    tuple(with_source(c, shot.cfa, design) for c in shot.chunks),
+                    tuple(with_source(c, shot.cfa, design, once=once) for c in shot.chunks[:count]),
                     shot.geometry,
+                    sums[:count].sum(axis=0),
+                    pixels[:count].sum(axis=0),
                     self._encoder(shot.jpeg),
                 )
-                for shot in self.shots
+                for shot, count, (sums, pixels) in zip(self.shots, counts, self._tallied)
             )
         return self._sources[key]
 
@@ -202,17 +213,29 @@ class Search:
 
     def run(self) -> Outcome:
         """All phases."""
+        return self.finish(*self._chosen())
+
+    def _chosen(self) -> tuple[model.Design, State]:
+        """The discrete choices, and where their trials ended.
+
+        A trial takes a few steps that only render, with the equations of the first choice: what is fitted
+        moves the picture almost alike after any demosaicker. A median has its own: its strength moves, too.
+        """
         best, state = self._first()
+        shared, own = self._near(best, state), best.median
         for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
             others = self._nearest(list(group(best)), state)
             if not others:
                 continue
-            trials = {d: self._try(group.__name__, d, state) for d in [best, *others]}
+            trials = {}
+            for design in [best, *others]:
+                near = shared if design.median == own else self._near(design, state)
+                trials[design] = self._try(group.__name__, design, state, near)
             chosen = min(trials, key=lambda d: trials[d].objective)
             if trials[chosen].objective < GAIN * trials[best].objective:
                 best = chosen
             state = trials[best]
-        return self.finish(best, state)
+        return best, state
 
     def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
         """Of many choices those that are nearest to the pictures before any step."""
@@ -220,6 +243,10 @@ class Search:
             return list(designs)
         objectives = {design: self._fit(design).objective(state) for design in designs}
         return sorted(designs, key=objectives.__getitem__)[:MOST_TRIALS]
+
+    def _near(self, design: model.Design, state: State) -> Near:
+        """The equations that trials go by, where one is not in the journal."""
+        return functools.cache(lambda: self._fit(design).equations(state))
 
     def _first(self) -> tuple[model.Design, State]:
         """Everything with plain choices; the lens only where the alignment found one, or where it shows."""
@@ -250,7 +277,7 @@ class Search:
 
     def _bends(self, state: State) -> bool:
         """Whether distortion or lateral colour moves the corner by so much that it counts."""
-        params = self.problem.layout.params(self.start, state.camera, state.images[0])
+        params = self.problem.layout.bounded(self.start, state.camera, state.images[0])
         corner = float(np.mean([s.chunks[0].corner for s in self.shots]))
         return max(abs(v) for v in Lens.of(params).in_the_corner(corner).values()) > SMALLEST
 
@@ -260,12 +287,16 @@ class Search:
         Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
-        patches = self._fit(design, whole=True, now=state).patches_at(state)
+        fit = self._fit(design, whole=True, now=state)
+        known: Slopes | None = fit.slopes(state)
+        patches = fit.patches_at(state, known)
         for turn in (1, 2):
             if design.lens and not self._bends(now):
                 design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
+                known = None
             fit = self._fit(design, whole=True, now=state, statistics=weight, patches=patches)
-            now = self._run(f"{name} {turn}", fit, _again(now), steps)
+            now = self._run(f"{name} {turn}", fit, _again(now), steps, known)
+            known = None
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
                 weight = STRESSED * STATISTICS
         return Outcome(design, fit, now, self.start, self.losses, self.tried)
@@ -289,18 +320,20 @@ class Search:
             for size in model.MEDIANS[1:]:
                 yield dataclasses.replace(design, median=size)
 
-    def _try(self, group: str, design: model.Design, state: State) -> State:
-        steps = min(TRIAL, self.options.steps)
-        after = self._run(f"{group.strip('_')}: {design.text}", self._fit(design), _again(state), steps)
+    def _try(self, group: str, design: model.Design, state: State, near: Near) -> State:
+        name = f"{group.strip('_')}: {design.text}"
+        after, _ = self.journal.get(name)
+        if after is None:
+            after = self._fit(design).beginning(_again(state), near())
+            self.journal.put(name, after, finished=True)
+            self._note(name, after)
         self.tried.append((design.text, after.objective))
         return after
 
     def _fit(self, design: model.Design, whole: bool = False, **options: Any) -> Fit:
         """The problem on all tiles, or, until the last phase, on some groups of them."""
-        views = self.views(design)
+        views = self.views(design, whole)
         if not whole:
-            kept = self._coarse()
-            views = tuple(v._replace(chunks=v.chunks[:n]) for v, n in zip(views, kept))
             options["scale"] = self._scale
         given = {"now": self.origin, "mesh": self.mesh, **options}
         fit = Fit(self.problem, self.start, views, self.origin, design, **given)
@@ -319,20 +352,24 @@ class Search:
             kept[int(np.argmin(shares))] += 1
         return kept
 
-    def _run(self, name: str, fit: Fit, state: State, steps: int) -> State:
+    def _run(self, name: str, fit: Fit, state: State, steps: int, known: Slopes | None = None) -> State:
+        """A phase; `known`: the slopes at `state`."""
         saved, finished = self.journal.get(name)
         if saved is not None and finished:
             return saved
 
         def after(now: State) -> None:
-            self.losses.append((name, now.objective))
-            self._done += 1
             self.journal.put(name, now, finished=False)
-            self.tick(min(self._done, self._total - 1), self._total, f"{name} {now.objective:.4f}")
+            self._note(name, now)
 
-        state = fit.run(saved or state, steps, after)
+        state = fit.run(saved or state, steps, after, known=None if saved else known)
         self.journal.put(name, state, finished=True)
         return state
+
+    def _note(self, name: str, now: State) -> None:
+        self.losses.append((name, now.objective))
+        self._done += 1
+        self.tick(min(self._done, self._total - 1), self._total, f"{name} {now.objective:.4f}")
 
     def _origin(self, start: Params) -> State:
         layout, pairs = self.problem.layout, len(self.shots)
@@ -347,9 +384,18 @@ class Search:
             + min(steps, LAST_STEPS)
             + min(LENS_STEPS, steps)
             + (self.options.starts > 1) * self.options.starts * min(START_STEPS, steps)
-            + min(TRIAL, steps) * (self.options.trials + 5)
-            + 1
+            + self.options.trials
+            + 6
         )
+
+
+def _tallied(shot: Shot) -> tuple[np.ndarray, np.ndarray]:
+    """(chunks, m) and (chunks, cells): `View.sums` and `View.pixels` of each."""
+    sums, pixels = [], []
+    for c in shot.chunks:
+        sums.append(np.sum([noise.moments(*t) for t in zip(c.target, c.flat, c.edges)], axis=0, dtype=float))
+        pixels.append(np.bincount(colour_cells(np, c.target).ravel(), np.ravel(c.mask), COLOURS**3))
+    return np.stack(sums), np.stack(pixels)
 
 
 def _again(state: State) -> State:

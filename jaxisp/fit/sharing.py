@@ -5,12 +5,14 @@ import functools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError, meant
 from jaxisp.params import map_specs, specs, to_bounded, to_unbounded
 from jaxisp.pipeline import Params
+from jaxisp.process.programs import QUICK
 
 CAMERA, IMAGE, FIXED = "camera", "image", "fixed"
 
@@ -113,7 +115,7 @@ class Layout:
 
     def vector(self, params: Params, flag: str) -> np.ndarray:
         """The leaves of that flag on the real line, in a row."""
-        free = to_unbounded(params)
+        free = _free(as_arrays(params))
         parts = [np.ravel(getattr(free[s], f)) for s, f, own, _ in self.leaves if own == flag]
         return np.concatenate([np.zeros(0), *parts]).astype(np.float64)
 
@@ -136,6 +138,14 @@ class Layout:
             )
             for stage, values in moved.items()
         }
+
+    def bounded(self, fixed: Params, camera: Any, image: Any) -> Params:
+        """The same of arrays, by a program: operation by operation, each would be compiled for each shape."""
+        return as_arrays(_bounded(self, fixed, camera, image))
+
+
+_free = jax.jit(to_unbounded, compiler_options=QUICK)
+_bounded = jax.jit(Layout.params, static_argnums=0, compiler_options=QUICK)
 
 
 def mean_of(values: Sequence[Params]) -> Params:

@@ -10,10 +10,9 @@ from jax.sharding import Mesh
 
 from jaxisp.fit import model, noise
 from jaxisp.fit.problem import GEOMETRY, Given, Normal, Problem
-from jaxisp.fit.program import COLOURS, colour_cells, sums_of
 from jaxisp.fit.sharing import CAMERA, IMAGE, as_arrays
 from jaxisp.fit.spread import Call, each
-from jaxisp.fit.state import Equations, Place, State, View
+from jaxisp.fit.state import Equations, Place, Slopes, State, View
 from jaxisp.fit.tiles import Chunk
 from jaxisp.fit.usual import KINDS, linearised
 from jaxisp.pipeline import Params
@@ -71,8 +70,7 @@ class Fit:
         self.bends = np.bool_(design.lens)
         self.moving = problem.moving(design.lens, design.median is not None)
         self.problem, self.fixed, self.views, self.start = problem, as_arrays(fixed), tuple(views), start
-        own = [np.asarray(sums_of(c.target, c), np.float64) for v in views for c in v.chunks]
-        self.wanted: np.ndarray = np.sum(own, axis=0)
+        self.wanted = np.sum([view.sums for view in views], axis=0)
         stages = (
             [stage for stage, _ in problem.layout.names[CAMERA]],
             [stage for stage, _ in problem.layout.names[IMAGE]],
@@ -83,9 +81,9 @@ class Fit:
         # minus two log posteriors are loss / (patch variance) + deviations**2, and the variance of a residual
         # is half a pixel's mean loss (luma, and Cb and Cr at a half); this is in units of the mean loss
         self.patches = {kind: np.float32(patches[kind]) for kind in KINDS}
-        self._pixels = np.stack([_by_colour(view) for view in views])
+        self._pixels = np.stack([view.pixels for view in views])
         self._share = 1 / (2 * max(self._pixels.sum(), 1))
-        self._origin = as_arrays(problem.layout.params(fixed, start.camera, start.images[0]))
+        self._origin = problem.layout.bounded(fixed, start.camera, start.images[0])
         self.scale = 1.0
         self.scale = max(self.loss(now or start), 1e-7) if scale is None else scale
 
@@ -202,13 +200,17 @@ class Fit:
             gradient += self.statistics * (near.slopes * soft) @ rows
         return Place(float(objective), gradient, total / weight, rows)
 
-    def equations(self, state: State) -> Equations:
-        """The objective at a state, its gradient and its Gauss-Newton matrix."""
+    def slopes(self, state: State) -> Slopes:
+        """All chunks with their derivatives at a state."""
+        return Slopes(*self.each(lambda at: self._call(state, at[0], at[1]), self._chunks))
+
+    def equations(self, state: State, known: Slopes | None = None) -> Equations:
+        """The objective at a state, its gradient and its Gauss-Newton matrix; `known`: its slopes."""
         size = len(self._hold)
         data, vector, total, weight = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
         sums, slopes = np.zeros_like(self.wanted), np.zeros((size, len(self.wanted)))
         scores = np.zeros((len(self.views), len(self._pixels[0]), size))
-        parts, jacobians = self.each(lambda at: self._call(state, at[0], at[1]), self._chunks)
+        parts, jacobians = known or self.slopes(state)
         for (i, _), part in zip(self._chunks, parts):
             index = self._index(i)
             data[np.ix_(index, index)] += np.asarray(part.matrix, np.float64)
@@ -229,9 +231,9 @@ class Fit:
         objective = float(share * total + self.statistics * misfit + pull)
         return Equations(objective, matrix, right, data, apart, total, weight, jacobian, jacobians)
 
-    def patches_at(self, state: State) -> dict[str, float]:
+    def patches_at(self, state: State, known: Slopes | None = None) -> dict[str, float]:
         """By kind of parameters: how many pixels' residuals are about as good as one independent one."""
-        at, names = self.equations(state), self.problem.layout.names
+        at, names = self.equations(state, known), self.problem.layout.names
         stages = [stage for stage, _ in (*names[CAMERA], *names[IMAGE] * len(self.views))]
         return {kind: patch_at(at, np.flatnonzero(np.isin(stages, own))) for kind, (_, own) in KINDS.items()}
 
@@ -241,17 +243,40 @@ class Fit:
         steps: int,
         tick: Callable[[State], Any] = lambda state: None,
         tolerance: float = 1e-3,
+        known: Slopes | None = None,
     ) -> State:
-        """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective."""
+        """At most `steps` Gauss-Newton steps; ends where they no longer lower the objective.
+
+        Args:
+            state: where to start.
+            steps: at most.
+            tick: called after each.
+            tolerance: share of the objective that a step must gain, or the one after it.
+            known: the slopes at `state`.
+        """
         while state.done < steps and state.idle < 2:
-            before = self.equations(state)
-            state = self._step(dataclasses.replace(state, objective=before.objective), before)
-            gain = before.objective - state.objective
+            known = known or self.slopes(state)
+            before = self.equations(state, known)
+            after = self._step(dataclasses.replace(state, objective=before.objective), before)
+            gain = before.objective - after.objective
+            if gain > 0:
+                known = None  # as large as all that was rendered
             state = dataclasses.replace(
-                state, idle=state.idle + 1 if gain < tolerance * before.objective else 0
+                after, idle=after.idle + 1 if gain < tolerance * before.objective else 0
             )
+            del before
             tick(state)
         return state
+
+    def beginning(self, state: State, at: Equations) -> State:
+        """A few steps with the equations of another choice, or of a place nearby; each only renders."""
+        place = self._at(state, at)
+        for _ in range(1 + CHORDS):
+            there, further = self._moved(state, at, place.vector, state.damping)
+            if not further.objective < place.objective:
+                break
+            state, place = there, further
+        return dataclasses.replace(state, objective=place.objective)
 
     def _step(self, state: State, at: Equations) -> State:
         """One step, damped until it lowers the objective; then on with the same matrix while that pays."""
@@ -300,13 +325,6 @@ def patch_at(at: Equations, columns: np.ndarray) -> float:
     told = np.linalg.inv(data + PATCH * variance * np.eye(len(data)))
     vary = np.einsum("ci,ij,cj", scores, told, scores) * count / (count - 1)
     return max(PATCH, float(vary / max(np.einsum("ij,ji", told, data) * variance, 1e-12)))
-
-
-def _by_colour(view: View) -> np.ndarray:
-    """(cells,) how many pixels of each cell of colour are fitted."""
-    own = [np.bincount(np.ravel(colour_cells(np, np.asarray(c.target))), np.ravel(c.mask), COLOURS**3)
-           for c in view.chunks]  # fmt: skip
-    return np.sum(own, axis=0)
 
 
 def _flat(state: State) -> np.ndarray:

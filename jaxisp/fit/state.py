@@ -11,10 +11,13 @@ from jaxisp.pipeline import Params
 
 class View(NamedTuple):
     """The tiles of one pair as they are fitted: demosaicked, where they lie, and the parameters of its
-    file's JPEG encoder, None where that is not rendered."""
+    file's JPEG encoder, None where that is not rendered. Of the picture the sums of `noise.moments`, and how
+    many pixels of each cell of colour are fitted."""
 
     chunks: tuple[Chunk, ...]
     geometry: np.ndarray
+    sums: np.ndarray
+    pixels: np.ndarray
     encoder: Params | None = None
 
 
@@ -39,6 +42,18 @@ class State:
         return dataclasses.replace(
             self, camera=parts[0], images=tuple(parts[1 : 1 + n]), places=tuple(parts[1 + n :])
         )
+
+
+class Slopes(NamedTuple):
+    """All chunks at a state, with derivatives: what equations are put together from, whatever a fit weighs.
+
+    Args:
+        parts: a `problem.Normal` each, without its Jacobian.
+        jacobians: as `spread.each` gives and takes them.
+    """
+
+    parts: Any
+    jacobians: Any
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Pairs made ready: aligned, split into tiles to fit and tiles to report, and the tiles that are fitted."""
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -17,7 +18,8 @@ from jaxisp.fit.pair import Example, align, balanced, demosaicker
 from jaxisp.fit.raw_noise import RawNoise, raw_noise
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
-from jaxisp.pipeline import Chain, run_batch
+from jaxisp.pipeline import Chain, over_batch, run_batch
+from jaxisp.process.programs import QUICK
 
 TILE = 64
 HALO = 16  # px around a tile that the filters see: bilateral 8, median 2, unsharp mask 6
@@ -82,13 +84,15 @@ class Split(NamedTuple):
     held_out: np.ndarray
 
 
-def with_source(chunk: Chunk, cfa: str, design: model.Design) -> Chunk:
-    """The chunk with its mosaic demosaicked."""
-    return chunk._replace(source=_demosaic_tiles(demosaicker(cfa, design), chunk.source))
+def with_source(chunk: Chunk, cfa: str, design: model.Design, *, once: bool = False) -> Chunk:
+    """The chunk with its mosaic demosaicked; `once`: by a program that is soon compiled, and slow."""
+    chain, mosaics = demosaicker(cfa, design), jnp.asarray(chunk.source)
+    return chunk._replace(source=_once(chain, mosaics) if once else run_batch(chain, {}, mosaics))
 
 
-def _demosaic_tiles(chain: Chain, mosaics: np.ndarray) -> jax.Array:
-    return run_batch(chain, {}, jnp.asarray(mosaics))
+@functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
+def _once(chain: Chain, mosaics: jax.Array) -> jax.Array:
+    return over_batch(chain, {}, mosaics, None)
 
 
 def split(

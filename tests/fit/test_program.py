@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
+from jaxisp.fit import model
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.program import CHROMA, COLOURS, jacobian_shape, normal_equations
 from jaxisp.fit.search import Options, Search
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.tiles import prepare
+from jaxisp.fit.tiles import prepare, with_source
 
 pytestmark = pytest.mark.optimised
 
@@ -84,3 +85,24 @@ def test_what_does_not_move_has_no_slope(fitted):
     part = solved(fit, given._replace(moving=moving), fit.vector(origin, 0), view.chunks[0])
     slopes = np.abs(np.asarray(part.jacobian)).max(axis=1)
     assert (slopes[~moving] == 0).all() and (slopes[moving] > 0).mean() > 0.8
+
+
+def test_a_step_by_another_choice_s_derivatives_is_nearly_one_by_its_own(fitted):
+    fit, origin = fitted
+    (view,) = fit.views
+    design = dataclasses.replace(fit.design, demosaic="demosaic_bilinear", median="3x3")
+    shot = view._replace(chunks=tuple(c._replace(source=0.98 * c.source) for c in view.chunks))
+    other = Fit(fit.problem, fit.fixed, [shot], origin, design, scale=fit.scale)
+    begun, own = other.objective(origin), other.run(origin, 1).objective
+    near = other.beginning(origin, fit.equations(origin)).objective
+    assert own < 0.9 * begun
+    assert begun - near == pytest.approx(begun - own, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["demosaic_rcd", "demosaic_lmmse"])
+def test_the_program_that_is_soon_compiled_demosaicks_alike(own, name):
+    shot = prepare(own[1])
+    design = model.Design(name)
+    quick, slow = (with_source(shot.chunks[0], shot.cfa, design, once=once).source for once in (True, False))
+    np.testing.assert_allclose(quick, slow, atol=1e-4)
+    assert np.asarray(slow).std() > 0.01

@@ -1,6 +1,7 @@
 """A fit over many devices has the normal equations of one; two processes have the bits of one."""
 
 import copy
+import hashlib
 import json
 import os
 import socket
@@ -13,11 +14,13 @@ import pytest
 from jax.sharding import Mesh
 
 from jaxisp.errors import InputError
-from jaxisp.fit import Example, fit_dataset
+from jaxisp.fit import Example, fit_dataset, model
 from jaxisp.fit.journal import Journal
+from jaxisp.fit.pair import demosaicker
 from jaxisp.fit.search import Options, Search
+from jaxisp.fit.sharing import _free, as_arrays
 from jaxisp.fit.spread import agree
-from jaxisp.fit.tiles import prepare
+from jaxisp.fit.tiles import SOURCE, TILES, _once, prepare
 from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scenes, write_pairs
@@ -87,6 +90,24 @@ def test_two_processes_give_the_bits_of_one(folder, spread, tmp_path):
     assert json.loads(said[0][0])["camera"] == str(out)
     assert_same_parameters(Recipe.load(out), spread.camera)
     assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] != ".") == ["camera.toml"]
+
+
+def digest():
+    """Of what the programs of a fit that compile without optimisation give."""
+    tiles = np.random.default_rng(0).uniform(size=(TILES, SOURCE, SOURCE)).astype(np.float32)
+    designs = [*map(model.Design, model.DEMOSAICKERS), model.Design(passes=1), model.Design(passes=2)]
+    parts = [_once(demosaicker("RGGB", design), tiles) for design in designs]
+    parts += jax.tree.leaves(_free(as_arrays(model.start())))
+    return hashlib.sha256(b"".join(np.asarray(p).tobytes() for p in parts)).hexdigest()
+
+
+@pytest.mark.slow
+def test_what_compiles_quickly_has_the_same_bits_on_any_number_of_devices():
+    """Unoptimised, a sum of many terms has not: a choice that hangs by it would differ between processes."""
+    command = [sys.executable, "-c", "from tests.fit.test_spread import digest; print(digest())"]
+    alone = subprocess.check_output(command, env={**os.environ, "XLA_FLAGS": ""}, text=True)
+    assert len(jax.devices()) == 8
+    assert alone.strip() == digest()
 
 
 def assert_same_parameters(one, other):
