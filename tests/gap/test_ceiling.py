@@ -13,7 +13,7 @@ from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.downstream import ceiling
 from jaxisp.gap.features.tolerances import left_by_shift
 from jaxisp.gap.objective.pixels import PixelObjective
-from jaxisp.gap.pairs.pairs import Pairs
+from jaxisp.gap.pairs.pairs import Pairs, inner_steps
 from jaxisp.gap.pairs.scenes import Split
 
 
@@ -24,6 +24,9 @@ class Still:
 
     def render(self, z, light):
         return np.repeat(np.asarray(light)[..., None], 3, -1)
+
+    def in_steps(self, z, light):
+        return np.asarray(inner_steps(self.render(z, light), len(light)))
 
     def take(self, which):
         return self
