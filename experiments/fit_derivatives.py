@@ -35,7 +35,7 @@ CALLS = 3
 
 def fit_of(folder: str, camera: Recipe) -> tuple[Fit, State]:
     """The problem of the first pair at the design of a fitted camera, and its parameters on the real line."""
-    shot = prepare(_Lazy(open_dataset(folder).pairs[0])())
+    shot = prepare(_Lazy(open_dataset(folder).pairs[0], None)())
     names = [s.fn.__name__ for s in camera.chain.stages()]
     size = next(
         (str(s.options["footprint"]) for s in camera.chain.stages() if s.fn.__name__ == "median"), None
