@@ -47,7 +47,7 @@ def found(shown, filed, explained=None):
     counts = np.full(len(shown), 136.0**2)
     seen = Residual(target, current, np.ones(target.shape[:-1]), counts, Split((0, 2), (1, 3)))
     scale = float(((target - current) ** 2).sum(-1).mean())
-    best = None if explained is None else to_steps(explained).astype(float)
+    best = current if explained is None else to_steps(explained).astype(float)
     return grain_trial(seen, np.zeros_like(target), np.zeros(1), scale, 0.05, best)
 
 

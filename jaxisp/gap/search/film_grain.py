@@ -56,7 +56,7 @@ def grain_trial(
     z: np.ndarray,
     scale: float,
     least: float,
-    explained: np.ndarray | None = None,
+    explained: np.ndarray,
 ) -> Trial:
     """Measure the share of the gap that film grain accounts for.
 
@@ -67,10 +67,10 @@ def grain_trial(
         scale: the gap above the floor.
         least: share of `scale` that the lower end of the interval must exceed.
         explained: (N, h, w, 3) the simulator's pictures with all effects that the search accepted, named or
-            not, in which grain is measured; default: those of `seen`. What an effect explains is no grain.
+            not, in which grain is measured: what an effect explains is no grain.
     """
     held = list(seen.split.held_out)
-    best = seen if explained is None else dataclasses.replace(seen, current=explained)
+    best = dataclasses.replace(seen, current=explained)
     residual, flat = best.target - best.current, _flat(best)
     energy = _unpredicted(best, residual, flat) - (floor**2).sum(-1)
     expected = _independent(best.current, energy, flat, seen.split.fit)
