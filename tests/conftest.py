@@ -5,6 +5,7 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
+from jaxisp.process.environment import one_blas_thread
 from tests.programs import kept_programs
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
@@ -18,7 +19,7 @@ if os.environ.get("JAXISP_TESTS_QUICK"):
         os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    one_blas_thread()
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:

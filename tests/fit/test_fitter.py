@@ -43,6 +43,7 @@ def test_it_finds_most_of_the_look_on_tiles_it_did_not_see(result):
     assert pair.held_out_psnr > max(31.5, before + 4)
     assert abs(pair.held_out_psnr - pair.psnr) < 3
     assert np.abs(pair.shift).max() < 0.2
+    assert result.phases.count("first") > 3
     for phase in set(result.phases):  # each has its own scale
         assert np.all(np.diff(result.losses[np.asarray(result.phases) == phase]) <= 0)
 

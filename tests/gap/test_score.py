@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.score.fit import SIDES, area, brier, calibration, fitted
+from experiments.score.misses import NO_GAP, SCREENED, row_of
 from jaxisp.gap.case import Gap
 from jaxisp.gap.search import score
 from jaxisp.gap.search.signs import Signs, left_signs, signs
@@ -95,3 +96,12 @@ def test_signs_of_what_is_left():
         {"gap": math.log2(11), "left": math.log2(4), "share_left": 0.3, "likeliest": 0.9}
     )
     assert left_signs(GAP, 0.5, 0.0)["left"] == 0.0
+
+
+def test_a_case_without_a_gap_is_told_from_one_that_was_not_refitted():
+    """Where nothing is refitted there are no effects to rank."""
+    case = {"name": "a", "truth": ["vignetting"], "kind": "raw+jpeg", "signs": {}, "found": []}
+    gap = {"before": 3.0, "floor": 2.0}
+    assert row_of(case | {"gap": gap, "closed": {}}) == ["a", "vignetting", "1.5", "", "", "", NO_GAP]
+    other = row_of(case | {"gap": gap, "closed": {"sharpening": 0.2}})
+    assert other[-2:] == ["sharpening 0.20", SCREENED]
