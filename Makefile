@@ -3,11 +3,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 PEERS := .venv/.peers
-# tests start many processes: each would compile the package's modules again where Python may not keep them
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2
-# bytecode on all cores, where pip takes one; without the tests of others
-COMPILE := import compileall, re, sysconfig; compileall.compile_dir(sysconfig.get_path("purelib"), \
-  quiet=2, workers=0, rx=re.compile(r"\Wtests?\W"))
+PYTEST := $(BIN)/python -m pytest -n 2
+# Python keeps the modules that it compiles, also where its user says not to: tests start many processes
+export PYTHONDONTWRITEBYTECODE :=
+
+# uv unpacks on all cores; pip alone knows an index of the user's
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+UV := ! $(PIP) config list | grep -q '\.index-url=' && $(PIP) install --quiet -c constraints.txt uv \
+  && $(BIN)/uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[test]'
 
 .PHONY: demo test test-all lint bench notebooks docs clean
 
@@ -46,13 +49,12 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "jaxisp needs Python 3.11 or later; say which with: make PYTHON=python3.12 ..."; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[test]'
-	@$(BIN)/python -c '$(COMPILE)'
+	@$(UV) || $(PIP) install --quiet --no-compile -c constraints.txt -e '.[test]'
 	@touch $@
 
 # large, and only for comparison: without them the tables say that they are not installed
 $(PEERS): $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]' \
+	$(PIP) install --quiet -c constraints.txt -e '.[test,bench]' \
 	  || echo "torch and kornia could not be installed: their comparisons are left out"
 	@touch $@
 
