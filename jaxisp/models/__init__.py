@@ -70,7 +70,8 @@ def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
     if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
         raise InputError(f"{path}: does not say which network it holds")
     options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
-    model = make_model(about["model"], **options)
+    # shapes alone: drawing weights that are replaced would take a second
+    model = nnx.eval_shape(lambda: make_model(about["model"], **options))
     fill(model, arrays, path)
     return model, about
 

@@ -31,8 +31,8 @@ def save_network(
     """
     text = json.dumps({"model": model, "options": dict(options), **about})
     with atomic_write(path) as file:
-        arrays: dict[str, Any] = {**_named(network), _ABOUT: np.asarray(text)}
-        np.savez(file, **arrays)
+        arrays = {name: np.asarray(leaf) for name, leaf in _named(network).items()}
+        np.savez(file, **arrays, **{_ABOUT: np.asarray(text)})
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -50,7 +50,7 @@ def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def fill(network: nnx.Module, arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """Give a network the weights of that name each. Raises InputError where they do not fit."""
+    """Give a network, or the shapes of one, the weights of that name each. Raises InputError where they do not fit."""
     own = _named(network)
     for name in sorted({*own, *arrays}):
         if name not in arrays or name not in own or arrays[name].shape != own[name].shape:
@@ -63,6 +63,6 @@ def fill(network: nnx.Module, arrays: Mapping[str, np.ndarray], path: str | Path
     nnx.update(network, state)
 
 
-def _named(network: nnx.Module) -> dict[str, np.ndarray]:
+def _named(network: nnx.Module) -> dict[str, Any]:
     leaves = jax.tree.leaves_with_path(nnx.to_pure_dict(nnx.state(network, _KEPT)))
-    return {jax.tree_util.keystr(key): np.asarray(leaf) for key, leaf in leaves}
+    return {jax.tree_util.keystr(key): leaf for key, leaf in leaves}
