@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from jaxisp.process.environment import one_blas_thread
+from jaxisp.process.memory import forget_compiled
 from tests.programs import kept_programs
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
@@ -42,8 +43,6 @@ gc.set_threshold(200_000, 20, 100_000)
 if "PYTEST_XDIST_WORKER" in os.environ:
     parallel.MOST = 1  # the workers use the cores
 
-_MOST_MEMORY = 3e9  # bytes
-
 
 _LONGEST = ("fit", "test_devices", "test_clean_noisy", "test_diagnose", "test_palette", "test_doctests")
 """Files and folders that take half a minute and more, longest first: one that begins last is waited for."""
@@ -65,12 +64,11 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="module", autouse=True)
 def room():
-    """A worker that has gigabytes of programs and traces forgets them: two such fill a small machine."""
+    """A worker that fills a quarter of the machine forgets its programs: seldom, since they are made anew."""
     yield
-    status = Path("/proc/self/statm")
-    if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MOST_MEMORY:
-        jax.clear_caches()
-        gc.collect()
+    status = Path("/proc/self/statm")  # in pages
+    if status.exists() and int(status.read_text().split()[1]) > os.sysconf("SC_PHYS_PAGES") / 4:
+        forget_compiled()
 
 
 @pytest.fixture(autouse=True)
