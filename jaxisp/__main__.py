@@ -5,7 +5,6 @@ import os
 import sys
 
 from jaxisp.process import signals
-from jaxisp.process.environment import one_blas_thread
 
 
 def _open_streams() -> None:
@@ -22,9 +21,12 @@ def _open_streams() -> None:
 def main() -> int:
     """Run the command line as a process of its own."""
     try:
-        _open_streams()
-        signals.watch()  # before all that takes time to import
+        with signals.held():
+            _open_streams()
+            signals.watch()  # before all that takes time to import
         gc.set_threshold(100_000, 20, 50)  # tracing makes millions of small objects that stay: a fifth of it
+        from jaxisp.process.environment import one_blas_thread
+
         one_blas_thread()
         from jaxisp.cli import main as command
 

@@ -109,7 +109,7 @@ def _make_data(data: Path) -> None:
 
     (data / "clean").mkdir()
     for i in range(6):
-        shape = (36, 48, 3) if i % 2 else (40, 32, 3)
+        shape = (66, 78, 3) if i % 2 else (70, 64, 3)  # 64 px a side are the least that is diagnosed
         write_png(data / "clean" / f"photo {i}.png", np.random.default_rng(i).uniform(size=shape))
     (data / "photos").mkdir()
     for i in range(2):

@@ -44,15 +44,21 @@ def start(arguments: list[str], log: Path, *, anew: bool) -> int:
         if anew:
             words = [sys.executable, "-m", "jaxisp", *arguments]
             return subprocess.Popen(words, stdout=nothing, stderr=errors).pid
+        from jaxisp.__main__ import main
+
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDINGS)
         if pid := os.fork():
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
             return pid
         status = 1
         try:
             os.dup2(nothing.fileno(), 1)
             os.dup2(errors.fileno(), 2)
             sys.argv[1:] = arguments
-            from jaxisp.__main__ import main
-
+            # one that came since ends the process as one does that comes before Python runs the program
+            for number in ENDINGS:
+                signal.signal(number, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
             status = main()
         except SystemExit as error:
             status = int(error.code or 0)

@@ -31,8 +31,8 @@ def save_network(
     """
     text = json.dumps({"model": model, "options": dict(options), **about})
     with atomic_write(path) as file:
-        arrays = {name: np.asarray(leaf) for name, leaf in _named(network).items()}
-        np.savez(file, **arrays, **{_ABOUT: np.asarray(text)})
+        arrays: dict[str, Any] = jax.tree.map(np.asarray, {**_named(network), _ABOUT: text})
+        np.savez(file, **arrays)
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -50,7 +50,11 @@ def read_arrays(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def fill(network: nnx.Module, arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """Give a network, or the shapes of one, the weights of that name each. Raises InputError where they do not fit."""
+    """Give a network, or the shapes of one, the weights of that name each.
+
+    Raises:
+        InputError: they do not fit.
+    """
     own = _named(network)
     for name in sorted({*own, *arrays}):
         if name not in arrays or name not in own or arrays[name].shape != own[name].shape:

@@ -2,6 +2,9 @@
 
 The main thread unwinds, so that nothing half-made is left. Compilers and solvers do not return to Python
 for longer than that: a thread then ends the process. All outputs are whole or not there at any moment.
+
+Extensions that are being imported do not unwind: what is raised in their beginning can end in SIGSEGV or
+SIGABRT. The main thread is asked again until it is out of all imports.
 """
 
 import contextlib
@@ -10,7 +13,9 @@ import signal
 import sys
 import threading
 import time
-from typing import Any
+from _thread import interrupt_main
+from collections.abc import Iterator
+from types import FrameType
 
 LINE = "jaxisp: interrupted; files already written are complete"
 _CURSOR = b"\r\x1b[?25h"
@@ -31,6 +36,8 @@ class _Watch:
     """What the process knows of signals; there is one process, so there is one of these."""
 
     came: int | None = None
+    deferred = False
+    """Whether it came within an import, and is to come again."""
     grace = GRACE
     status: int | None = None
     on = False
@@ -40,6 +47,22 @@ class _Watch:
 
 
 _watch = _Watch()
+
+
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Signals that come within are delivered after it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def watch() -> None:
@@ -53,7 +76,7 @@ def watch() -> None:
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
     _watch.errors = os.dup(2)
     threading.Thread(target=_end, args=(read,), daemon=True, name="jaxisp-signals").start()
-    for number in (signal.SIGINT, signal.SIGTERM):  # the last: one may come at once, and is told
+    for number in _ENDING:  # the last: one may come at once, and is told
         signal.signal(number, _raise)
 
 
@@ -89,8 +112,11 @@ def leave(status: int) -> None:
     os._exit(status)
 
 
-def _raise(number: int, frame: Any) -> None:
+def _raise(number: int, frame: FrameType | None) -> None:
     _watch.came = _watch.came or number
+    if _imports(frame):
+        _watch.deferred = True
+        return
     # what is raised within an import, a destructor or another thread is printed there, by C too
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
@@ -98,14 +124,35 @@ def _raise(number: int, frame: Any) -> None:
     raise Stopped(number)
 
 
+def _imports(frame: FrameType | None) -> bool:
+    """Whether a module is being imported where this frame is."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _again(number: int) -> None:
+    """Send it to the main thread, which may wait within the system."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)
+    else:  # Windows
+        interrupt_main(signal.Signals(number))
+
+
 def _end(pipe: int) -> None:
     """Wait for a signal, then for the main thread, and end the process."""
     number = 0
-    while number not in (signal.SIGINT, signal.SIGTERM):
+    while number not in _ENDING:
         number = os.read(pipe, 1)[0]
     _watch.came = _watch.came or number
     until = time.monotonic() + _watch.grace
     while time.monotonic() < until:
         time.sleep(0.02)
+        if _watch.deferred:
+            _watch.deferred = False
+            _again(number)
     tell()
     os._exit(status_of(number))

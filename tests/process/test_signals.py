@@ -62,6 +62,59 @@ raise SystemExit(process.main())
     assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
 
 
+@pytest.mark.parametrize("number", ENDINGS)
+def test_nothing_is_raised_within_an_import(tmp_path, number):
+    """An extension's beginning does not unwind: numpy's ended in SIGSEGV."""
+    module = f"""
+import os, pathlib, time
+os.kill(os.getpid(), {int(number)})
+try:
+    time.sleep(0.3)
+except BaseException:
+    pathlib.Path("raised").touch()
+    raise
+pathlib.Path("imported").touch()
+"""
+    (tmp_path / "extension.py").write_text(module)
+    program = """
+import pathlib, sys, time
+from jaxisp import __main__ as process
+import jaxisp.cli
+def load(arguments):
+    import extension
+    try:
+        time.sleep(60)
+    finally:
+        pathlib.Path("unwound").touch()
+jaxisp.cli.listings.run_recipes = load
+raise SystemExit(process.main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, "recipes"], capture_output=True, text=True, timeout=20, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
+    assert {path.name for path in tmp_path.iterdir() if not path.suffix} >= {"imported", "unwound"}
+    assert not (tmp_path / "raised").exists()
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_signal_before_signals_are_taken_is_told_after(number):
+    program = f"""
+import os
+from jaxisp import __main__ as process
+opened = process._open_streams
+def at_once():
+    os.kill(os.getpid(), {int(number)})
+    opened()
+process._open_streams = at_once
+raise SystemExit(process.main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, "recipes"], capture_output=True, text=True, timeout=20
+    )
+    assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
+
+
 @pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
 def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
     (tmp_path / "in").mkdir()
