@@ -57,9 +57,15 @@ def pytest_collection_modifyitems(items):
         return folder if folder.name == "fit" else item.path
 
     for item in items:
-        item.add_marker(pytest.mark.xdist_group(str(place(item))))
+        item.add_marker(pytest.mark.xdist_group(str(place(item).relative_to(item.config.rootpath))))
     last = len(_LONGEST)
     items.sort(key=lambda item: _LONGEST.index(n) if (n := place(item).stem) in _LONGEST else last)
+
+
+def pytest_collection_finish(session):
+    """Ungrouped, each worker would make what a file's tests share."""
+    if session.config.getoption("loadgroup", False) and any("@" not in item.nodeid for item in session.items):
+        raise pytest.UsageError("pytest-xdist does not group tests with this version of pytest")
 
 
 @pytest.fixture(scope="module", autouse=True)
