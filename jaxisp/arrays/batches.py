@@ -1,7 +1,6 @@
-"""A batch that is differentiated, group of images by group: in the scratch memory of a group.
+"""A large batch that is differentiated, group of images by group: in the scratch memory of a group.
 
-What a gradient keeps of the way there grows with the batch, and the C library has blocks of over 32 MB from
-the system anew at every call, page by page. To go the way there again for each group costs less.
+What a gradient keeps of the way there grows with the batch. A group goes the way there again instead.
 """
 
 from collections.abc import Callable
@@ -13,8 +12,12 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
+AT_ONCE = 128_000_000
+"""Bytes that the gradient of a whole batch may take. A program for groups has the way there twice: to compile
+it takes 1.4 times as long, and a call is no faster (`phone`, 32 and 64 pictures of 80x80)."""
 SCRATCH = 30_000_000
-"""Bytes that the gradient of a group may take."""
+"""Bytes that the gradient of a group may take: the C library has blocks of over 32 MB from the system anew at
+every call, page by page."""
 PER_STAGE = 40
 """Bytes a pixel that a stage keeps for its gradient: what `phone` takes, 470, over its 13 stages."""
 LEAST = 15_000
@@ -23,7 +26,10 @@ LEAST = 15_000
 
 def group_size(images: int, pixels: int, stages: int) -> int:
     """How many images of a batch, of so many pixels each, are differentiated at once on a CPU."""
-    most = SCRATCH // (PER_STAGE * max(stages, 1))
+    each = PER_STAGE * max(stages, 1)
+    if images * pixels * each <= AT_ONCE:
+        return images
+    most = SCRATCH // each
     size = max((n for n in range(1, images + 1) if images % n == 0 and n * pixels <= most), default=images)
     return size if size * pixels >= LEAST else images
 

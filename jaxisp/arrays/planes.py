@@ -13,13 +13,22 @@ from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.platforms import by_platform
 
 
+@jax.jit  # traced and transformed once for a shape, as `interleaved`
 def planes(image: jax.Array) -> tuple[jax.Array, ...]:
-    """The channels of (H, W, C) as a tuple of (H, W)."""
-    # split, as the transpose of slices would pad each of them
+    """The channels of (H, W, C) as a tuple of (H, W).
+
+    The transpose stores the planes, and then joins them: by itself XLA's CPU code works each out within the
+    loop that joins them, which takes long to compile and does not vectorise.
+    """
+    return linear_call(lambda _, x: _split(x), lambda _, p: interleaved(materialize(p)), None, image)
+
+
+def _split(image: jax.Array) -> tuple[jax.Array, ...]:
     last = image.ndim - 1
     return tuple(lax.squeeze(p, (last,)) for p in lax.split(image, (1,) * image.shape[-1], axis=last))
 
 
+@jax.jit
 def interleaved(channels: Sequence[jax.Array]) -> jax.Array:
     """(H, W, C) of C planes of (H, W), stored: the inverse of `planes`.
 

@@ -15,7 +15,8 @@ from jaxisp.stages.noise import GaussianNoise
 @pytest.mark.parametrize(
     "images, pixels, stages, size",
     [
-        (32, 80 * 80, 13, 8),
+        (32, 80 * 80, 13, 32),
+        (64, 80 * 80, 13, 8),
         (32, 100 * 100, 13, 4),
         (32, 80 * 80, 1, 32),
         (7, 80 * 80, 30, 7),
@@ -25,12 +26,14 @@ from jaxisp.stages.noise import GaussianNoise
     ],
 )
 def test_group_size(images, pixels, stages, size):
-    """Some 30 MB a group; the whole batch where groups would be tiny, or no smaller one fits."""
+    """The whole batch within some 128 MB, and where groups would be tiny, or no smaller one fits; else groups
+    of some 30 MB."""
     assert group_size(images, pixels, stages) == size
 
 
 @pytest.fixture
 def batch(rng, monkeypatch):
+    monkeypatch.setattr(batches, "AT_ONCE", 0)
     monkeypatch.setattr(batches, "SCRATCH", 500 * 3 * batches.PER_STAGE)
     monkeypatch.setattr(batches, "LEAST", 100)
     chain = Chain((stage("gaussian_noise"), stage("unsharp_mask", radius=3), stage("clip")), "chain")
@@ -89,6 +92,7 @@ def test_the_scratch_memory_is_that_of_a_group(monkeypatch):
     x = jnp.ones((16, 40, 40, 3))
 
     def scratch(most):
+        monkeypatch.setattr(batches, "AT_ONCE", 0)
         monkeypatch.setattr(batches, "SCRATCH", most * 4 * batches.PER_STAGE)
         monkeypatch.setattr(batches, "LEAST", 0)
         loss = jax.grad(lambda v: jnp.sum(compiled_batch.__wrapped__(chain, chain.init(), v, None, 0) ** 2))

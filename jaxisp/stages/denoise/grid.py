@@ -98,6 +98,10 @@ def _to_phases(plane: jax.Array, cell: int) -> jax.Array:
     for axis, n in enumerate(plane.shape):
         pads = [(0, -n % cell) if a == axis else (0, 0) for a in range(2)]
         plane = jnp.pad(plane, pads, mode="reflect" if n > 1 else "edge")
+    return _of_whole_cells(plane, cell)
+
+
+def _of_whole_cells(plane: jax.Array, cell: int) -> jax.Array:
     rows, columns = (n // cell for n in plane.shape)
     phases = plane.reshape(rows, 2, cell // 2, columns, 2, cell // 2).transpose(1, 4, 2, 5, 0, 3)
     return jnp.pad(phases, [(0, 0)] * 5 + [(0, 2)]).reshape(cell * cell, -1)
@@ -105,8 +109,16 @@ def _to_phases(plane: jax.Array, cell: int) -> jax.Array:
 
 def _from_phases(phases: jax.Array, cell: int, height: int, width: int) -> jax.Array:
     rows, columns = -(-height // cell), -(-width // cell)
-    full = phases.reshape(2, 2, cell // 2, cell // 2, rows, columns + 2)[..., :columns]
-    return full.transpose(4, 0, 2, 5, 1, 3).reshape(rows * cell, columns * cell)[:height, :width]
+
+    def there(_: None, phases: jax.Array) -> jax.Array:
+        full = phases.reshape(2, 2, cell // 2, cell // 2, rows, columns + 2)[..., :columns]
+        return full.transpose(4, 0, 2, 5, 1, 3).reshape(rows * cell, columns * cell)[:height, :width]
+
+    def back(_: None, plane: jax.Array) -> jax.Array:
+        whole = jnp.pad(plane, ((0, rows * cell - height), (0, columns * cell - width)))
+        return _of_whole_cells(whole, cell)
+
+    return linear_call(there, back, None, phases)
 
 
 # Splatting and slicing are linear in what they carry, and their slope to u is the same with the tent's

@@ -71,7 +71,8 @@ def _blurred_in_space_jvp(little_memory: bool, primals: Any, tangents: Any) -> t
     inner = y[..., 1:-2, 1:-1]
     vertical, horizontal = y[..., :-3, 1:-1] + y[..., 2:-1, 1:-1], y[..., 1:-2, :-2] + y[..., 1:-2, 2:]
     slope = 0.5 * (vertical + horizontal) - 2 * inner
-    bordered = jnp.pad(slope, ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
+    # stored first, or each part of the border would work it out
+    bordered = jnp.pad(store(slope), ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
     return y, change + scaled(d_variance, store(bordered))
 
 
