@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 from flax import nnx
 
 from jaxisp.errors import InputError
@@ -11,7 +13,7 @@ from jaxisp.train.config import TrainConfig
 from jaxisp.train.folder import load_settings
 from jaxisp.train.optimizer import make_optimizer
 from jaxisp.train.step import init_state, split_model, weights
-from jaxisp.train.trainer import build_model
+from jaxisp.train.trainer import model_shapes
 
 
 def load_denoiser(run: str | Path, checkpoint: str = "best") -> tuple[Denoiser, TrainConfig]:
@@ -27,8 +29,9 @@ def load_denoiser(run: str | Path, checkpoint: str = "best") -> tuple[Denoiser, 
     if checkpoint not in FOLDERS:
         raise InputError(f"checkpoint {checkpoint!r}: expected one of {', '.join(FOLDERS)}")
     config, _ = load_settings(run)
-    model = build_model(config)
-    like = init_state(model, make_optimizer(config, 1), ema=config.ema)
+    model = model_shapes(config)
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), nnx.state(model))
+    like = init_state(nnx.merge(nnx.graphdef(model), zeros), make_optimizer(config, 1), ema=config.ema)
     checkpoints = Checkpoints(Path(run), reading=True)
     found = checkpoint if checkpoints.steps(checkpoint) else "last"  # stopped before its first validation
     state = checkpoints.restore(like, found)

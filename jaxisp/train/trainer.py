@@ -298,15 +298,25 @@ def _named(group: str, row: dict[str, float]) -> dict[str, float]:
 
 
 def build_model(config: TrainConfig) -> nnx.Module:
-    """The network of a run with fresh weights."""
+    """The network that a run begins with: of fresh weights, or of those of `config.start`."""
+    if not config.start:
+        return _make_model(config)
+    model = model_shapes(config)
+    load_weights(model, config.start)
+    return model
+
+
+def model_shapes(config: TrainConfig) -> nnx.Module:
+    """The network of a run without weights: shapes stand for them, so that none are drawn."""
+    return nnx.eval_shape(lambda: _make_model(config))
+
+
+def _make_model(config: TrainConfig) -> nnx.Module:
     options = dict(config.model_options)
     if config.bf16:
         options["dtype"] = jax.numpy.bfloat16
     options = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
-    model = make_model(config.model, seed=config.seed, **options)
-    if config.start:
-        load_weights(model, config.start)
-    return model
+    return make_model(config.model, seed=config.seed, **options)
 
 
 def _split(images: CleanImages, held_out: int) -> tuple[CleanImages, CleanImages]:
