@@ -5,12 +5,14 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from flax import nnx
 from PIL import Image
 
 from jaxisp.errors import InputError
 from jaxisp.testing import smooth_image
-from jaxisp.train import TrainConfig, train
+from jaxisp.train import TrainConfig, load_denoiser, train
 from jaxisp.train.pool import PairPool
+from jaxisp.train.step import weights
 from tests.train.test_trainer import SMALL, fingerprint, interrupt_at
 
 
@@ -92,3 +94,8 @@ def test_a_run_with_a_pool_is_resumed_to_the_bit_and_goes_on_from_weights(tmp_pa
     other = train(dataclasses.replace(config, start=str(tmp_path / "start.npz")), tmp_path / "begun")
     leaves = [jax.tree.leaves(run.state.params)[0] for run in (other, whole)]
     assert np.abs(leaves[0] - leaves[1]).max() > 1e-3
+    (tmp_path / "start.npz").unlink()  # a trained run has its own weights
+    denoiser, _ = load_denoiser(other.run, "last")
+    kept = jax.tree.leaves(nnx.state(denoiser.model, nnx.Param))
+    for leaf, wanted in zip(kept, jax.tree.leaves(weights(other.state)[0]), strict=True):
+        np.testing.assert_array_equal(leaf, wanted)
