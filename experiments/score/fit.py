@@ -178,6 +178,11 @@ def brier(rows: Sequence[tuple[float, bool]]) -> float:
     return float(np.mean([(p - answer) ** 2 for p, answer in rows]))
 
 
+def log_loss(rows: Sequence[tuple[float, bool]]) -> float:
+    """Mean -log of the probability that the right answer was given [nats]."""
+    return float(np.mean([-np.log(max(p if answer else 1 - p, 1e-12)) for p, answer in rows]))
+
+
 def area(rows: Sequence[tuple[float, bool]]) -> float:
     """Area under the ROC curve: how often a right answer has the higher probability."""
     yes, no = (np.array([p for p, answer in rows if answer == side]) for side in (True, False))
@@ -240,7 +245,7 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
     by_kind = {kind: answers([r for r in records if r["kind"] == kind], scores) for kind in kinds}
     questions = [
         [question, kind, len(own), sum(answer for _, answer in own), f"{brier(own):.3f}",
-         f"{_alone(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}"]
+         f"{_alone(own):.3f}", f"{log_loss(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}"]
         for question in SIDES
         for kind, own in [("all", said[question]), *((k, rows[question]) for k, rows in by_kind.items())]
         if own
@@ -258,8 +263,8 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
         comparison(records, scores),
         "## Questions", "",
         table(
-            ["question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "area under ROC",
-             "mean gap of probability and frequency"],
+            ["question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "log loss",
+             "area under ROC", "mean gap of probability and frequency"],
             questions,
         ),
         "## Reliability", "",
