@@ -9,7 +9,8 @@ a file by this version, those of converters from folders that hold them (`experi
 their plain pictures beside them. Its order mixes the groups, so that a part of it is a sample of all.
 `collect` reads files of cases, what `run` and `again` write and what `experiments.third_party run` writes; of
 cases of one name the last counts. A converter is left out of a fit as one camera. Of the truth of a record,
-"a|b" stands for either effect; `version` is the commit that diagnosed it.
+"a|b" stands for either effect. `version` is the commit that diagnosed a case; cc54f21, 67a5efa and 51b88aa
+are those that collected cases of their days.
 """
 
 import argparse
