@@ -11,6 +11,7 @@ from experiments.third_party import darktable, rawtherapee
 from experiments.third_party.cameras import SENSORS, frames, noise, tuning
 from experiments.third_party.cases import CONVERTERS, Case, cases
 from experiments.third_party.chance import HALVES
+from experiments.third_party.make import stands, write
 from experiments.third_party.pictures import apart, write_hald
 from experiments.third_party.run import PAIRS, PICTURES, REFERENCE, possible, two_pictures
 from experiments.third_party.switches import NONE, OUTSIDE
@@ -125,7 +126,54 @@ def test_pictures_of_two_sizes_have_no_distance(tmp_path):
             str(tmp_path / f"{name}.png"), np.full((side, side, 3), 100 + (name == "b") * 10, np.uint8)
         )
     assert apart(tmp_path / "a.png", tmp_path / "b.png") == pytest.approx(10, abs=0.1)
-    assert apart(tmp_path / "a.png", tmp_path / "c.png") is None
+    with pytest.raises(ValueError, match="32x32 and 24x24 px"):
+        apart(tmp_path / "a.png", tmp_path / "c.png")
+
+
+RESIZED = Case("rawtherapee", "imx378", "resize", 5, "develop")
+
+
+def pictures_of(side):
+    """A converter that writes no more than pictures of a size."""
+
+    def develop(raws, camera, settings, out):
+        paths = [out / f"{raw.stem}.png" for raw in raws]
+        for path in paths:
+            cv2.imwrite(str(path), np.full((side, side, 3), 90, np.uint8))
+        return paths
+
+    return develop
+
+
+def test_a_switch_that_changes_the_size_is_no_case(tmp_path, data, monkeypatch):
+    """A resize of RawTherapee came back 8 px larger than its plain picture: a scale beside the switch."""
+    plain = RESIZED.plain
+    monkeypatch.setattr(rawtherapee, "develop", pictures_of(40))
+    write(data, tmp_path, plain, 48)
+    assert write(data, tmp_path, RESIZED, 48)["apart"] == 0 and stands(tmp_path / RESIZED.name, RESIZED)
+    monkeypatch.setattr(rawtherapee, "develop", pictures_of(48))
+    with pytest.raises(ValueError, match="40x40 and 48x48 px"):
+        write(data, tmp_path, RESIZED, 48)
+
+
+def test_a_folder_of_other_settings_is_written_anew(tmp_path):
+    assert not stands(tmp_path, RESIZED)
+    for settings, far, right in (("0.5", 8.0, True), ("0.66", 8.0, False), ("0.5", None, False)):
+        (tmp_path / "truth.json").write_text(json.dumps({"settings": {"resize": settings}, "apart": far}))
+        assert stands(tmp_path, RESIZED) == right
+
+
+def test_a_resized_picture_of_rawtherapee_gets_back_what_its_border_leaves(tmp_path, data, monkeypatch):
+    """RawTherapee cuts 4 px off each side of a picture that it demosaics, none off what it enlarges."""
+    asked = []
+    monkeypatch.setattr(
+        rawtherapee, "_run", lambda files, profile, output, out: asked.append(profile.read_text()) or files
+    )
+    raw = tmp_path / "s0.dng"
+    next(frames(data, "imx378", "develop", 1, 48)).save(raw)
+    rawtherapee.develop([raw], "imx378", RESIZED.settings, tmp_path)
+    assert "Scale=0.5" in asked[0] and "Border=4" in asked[0]
+    assert "Width=40\nHeight=40" in asked[1] and "Border" not in asked[1]
 
 
 def record(case, truth, before, causes=(), ranking=(), plain="p", also=()):

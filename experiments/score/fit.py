@@ -11,6 +11,7 @@ import argparse
 import itertools
 import json
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,15 +31,11 @@ Record = Mapping[str, Any]
 Row = tuple[Record, str, bool, Mapping[str, float]]
 """A case, an effect or a question, whether the answer is yes, and the signs."""
 SIDES: dict[str, dict[str, int]] = {
-    score.EFFECT: {
-        "size": 1, "closed": 1, "surely": 1, "lead": 1, "lead_alike": 1, "form": 1, "even": 1, "learnt": 1,
-        "halves": 1, "nearer": 1, "contrary": -1, "own_fell": 1, "other_fell": 1, "place_left": -1,
-        "worse": -1, "left": -1, "later": -1,
-    },
-    score.GRAIN: {"size": 1, "closed": 1},
-    score.OTHER: {"left": 1, "share_left": 1},
-    score.NONE: {"gap": -1},
-}  # fmt: skip
+    score.EFFECT: {"closed": 1, "ahead": 1, "gap": 1, "nearer": 1, "contrary": -1},
+    score.GRAIN: {"closed": 1},
+    score.OTHER: {"left": 1, "share_left": 1, "likeliest": -1},
+    score.NONE: {"excess": -1},
+}
 """By question, the signs that are used and the side of their weights."""
 _RIDGE = 1.0  # observations by which each standardised weight is held to 0
 _CHANCE = 0.2
@@ -116,7 +113,7 @@ def left_rows(records: Sequence[Record], found: Mapping[str, Any], question: str
         named = [e for e in record["found"] if likely.get(e, 0.0) >= criteria.named]
         whole = Gap(gap["before"], gap["floor"], criteria.least_unit)
         after = gap["before"] - whole.scale * sum(record["closed"][e] for e in named)
-        signs = left_signs(whole, after, max(likely.values(), default=0.0))
+        signs = left_signs(whole, after, max(likely.values(), default=0.0), criteria.null_drop)
         missed = [t for t in record["truth"] if not set(t.split("|")) & set(named)]
         answer = record["beyond"] or bool(missed)
         if question == score.NONE:
@@ -178,6 +175,11 @@ def brier(rows: Sequence[tuple[float, bool]]) -> float:
     return float(np.mean([(p - answer) ** 2 for p, answer in rows]))
 
 
+def log_loss(rows: Sequence[tuple[float, bool]]) -> float:
+    """Mean -log of the probability that the right answer was given [nats]."""
+    return float(np.mean([-np.log(max(p if answer else 1 - p, 1e-12)) for p, answer in rows]))
+
+
 def area(rows: Sequence[tuple[float, bool]]) -> float:
     """Area under the ROC curve: how often a right answer has the higher probability."""
     yes, no = (np.array([p for p, answer in rows if answer == side]) for side in (True, False))
@@ -213,16 +215,18 @@ def comparison(records: Sequence[Record], scores: Mapping[str, Any]) -> str:
     groups = dict.fromkeys((r["kind"], r["group"]) for r in records if r["group"] != "study")
     for kind, group in sorted(groups):
         own = [r for r in records if (r["kind"], r["group"]) == (kind, group)]
-        known = [r for r in own if r["truth"]]
         likely = {r["name"]: probabilities(r, scores[r["camera"]]) for r in own}
         cells: list[Any] = [kind, group, len(own)]
-        by_rules = {r["name"]: r.get("rules", []) for r in own}
+        by_rules = {r["name"]: r["rules"] for r in own if "rules" in r}
         by_score = {r["name"]: named_by(r, likely[r["name"]], CRITERIA[kind].named) for r in own}
         for said in (by_rules, by_score):
+            told = [r for r in own if r["name"] in said]
+            known = [r for r in told if r["truth"]]
             first = sum(any(is_true(e, r) for e in said[r["name"]][:1]) for r in known)
             any_of = sum(any(is_true(e, r) for e in said[r["name"]]) for r in known)
-            wrong = sum(any(not is_true(e, r) for e in said[r["name"]]) for r in own)
-            cells += [f"{n}/{len(known)}" if known else "" for n in (first, any_of)] + [wrong]
+            wrong = sum(any(not is_true(e, r) for e in said[r["name"]]) for r in told)
+            cells += [f"{n}/{len(known)}" if known else "" for n in (first, any_of)]
+            cells.append(f"{wrong}/{len(told)}")
         sure = sum(any(p > 0.9 and not is_true(e, r) for e, p in likely[r["name"]].items()) for r in own)
         rows.append([*cells, sure])
     head = [
@@ -237,10 +241,11 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
     own = [record for record in records if record["group"] != "study"]
     said = answers(records, scores)
     kinds = sorted({record["kind"] for record in records})
+    versions = Counter(record["version"] for record in own).most_common()
     by_kind = {kind: answers([r for r in records if r["kind"] == kind], scores) for kind in kinds}
     questions = [
         [question, kind, len(own), sum(answer for _, answer in own), f"{brier(own):.3f}",
-         f"{_alone(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}"]
+         f"{_alone(own):.3f}", f"{log_loss(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}"]
         for question in SIDES
         for kind, own in [("all", said[question]), *((k, rows[question]) for k, rows in by_kind.items())]
         if own
@@ -251,15 +256,17 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
         f"{len(own)} cases of {len({r['camera'] for r in own})} cameras, and for the question whether "
         f"nothing is missing {len(records) - len(own)} of the withheld study. Every figure is of the "
         "score that was fitted without the case's camera; a converter of third parties counts as one camera. "
-        "The signs, and the sides of their weights, were chosen on these cases.", "",
+        "The signs, and the sides of their weights, were chosen on these cases, by the log loss of cameras "
+        "left out.", "",
+        "A case keeps the version that diagnosed it: " + ", ".join(f"{v} {n}" for v, n in versions) + ".", "",
         "## Rules and score", "",
-        "*Rules* are those that the score replaces. A wrong name is an effect that is not in the truth; of "
-        "third-party cameras it may still be there.", "",
+        "*Rules* are those that the score replaces, as they answered when cases were collected. A wrong "
+        "name is an effect that is not in the truth; of third-party cameras it may still be there.", "",
         comparison(records, scores),
         "## Questions", "",
         table(
-            ["question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "area under ROC",
-             "mean gap of probability and frequency"],
+            ["question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "log loss",
+             "area under ROC", "mean gap of probability and frequency"],
             questions,
         ),
         "## Reliability", "",

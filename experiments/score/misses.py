@@ -1,7 +1,7 @@
 """Where a diagnosis of cameras of others fails: each case of the score's whose effect is not named first.
 
     python -m experiments.score.misses docs/results/score-cases.json
-    python -m experiments.score.misses benchmarks/results/misses-again.json --all
+    python -m experiments.score.misses docs/results/score-cases.json --all
 
 The cases keep what the search found when they ran; the probabilities are those of the score as it stands.
 """

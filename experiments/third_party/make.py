@@ -18,11 +18,11 @@ _COUNT = 6
 
 
 def make(data: Path, out: Path, half: str, size: int, match: str, levels: Sequence[int]) -> None:
-    """Write every case of these strengths whose name matches and that is not there yet."""
+    """Write every case of these strengths whose name matches and that does not stand yet."""
     for case in cases(half):
         if not case.level or (case.level in levels and re.search(match, case.name)):
             folder = out / case.name
-            if not (folder / "truth.json").exists():
+            if not stands(folder, case):
                 try:
                     truth = write(data, out, case, size)
                 except (RuntimeError, OSError, ValueError) as error:  # told, and the others are made
@@ -32,8 +32,28 @@ def make(data: Path, out: Path, half: str, size: int, match: str, levels: Sequen
                 print(case.name, truth["truth"], truth["apart"], flush=True)
 
 
+def stands(folder: Path, case: Case) -> bool:
+    """Whether a folder holds a case as it is written today: with these settings, and of its plain's size.
+
+    A version before 4100fad enlarged what RawTherapee resizes by what its border cuts off, and wrote no
+    distance to the plain picture.
+    """
+    if not (folder / "truth.json").exists():
+        return False
+    truth = json.loads((folder / "truth.json").read_text())
+    return truth["settings"] == _said(case) and truth["apart"] is not None
+
+
+def _said(case: Case) -> dict[str, str]:
+    return {name: str(value) for name, value in case.settings.items()}
+
+
 def write(data: Path, out: Path, case: Case, size: int) -> dict[str, Any]:
-    """One case; returns what is written to truth.json."""
+    """One case; returns what is written to truth.json.
+
+    Raises:
+        ValueError: a picture has not the size of its plain one; no switch changes the size.
+    """
     raws = _raws(data, out, case, size)
     folder = out / case.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -55,8 +75,8 @@ def write(data: Path, out: Path, case: Case, size: int) -> dict[str, Any]:
         "truth": case.what.truth,
         "also": list(case.what.also),
         "plain": case.plain.name,
-        "settings": {k: str(v) for k, v in case.settings.items()},
-        "apart": None if None in far else round(float(np.sqrt(np.mean(np.square(far)))), 3),
+        "settings": _said(case),
+        "apart": round(float(np.sqrt(np.mean(np.square(far)))), 3),
     }
     (folder / "dataset.toml").write_text(f'camera = "{case.converter} {case.camera}"\n')
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")

@@ -47,9 +47,14 @@ def decoded(path: Path) -> np.ndarray:
     return picture
 
 
-def apart(one: Path, other: Path) -> float | None:
-    """Root mean square difference in Y'CbCr over the three channels [8-bit steps]; None of two sizes."""
+def apart(one: Path, other: Path) -> float:
+    """Root mean square difference in Y'CbCr over the three channels [8-bit steps].
+
+    Raises:
+        ValueError: the pictures have two sizes.
+    """
     both = [cv2.cvtColor(decoded(path), cv2.COLOR_BGR2YCrCb).astype(float) for path in (one, other)]
     if both[0].shape != both[1].shape:
-        return None
+        sizes = " and ".join("x".join(map(str, picture.shape[1::-1])) for picture in both)
+        raise ValueError(f"{one} and {other}: {sizes} px, must have one size")
     return float(np.sqrt(((both[0] - both[1]) ** 2).sum(-1).mean()))

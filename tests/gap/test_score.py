@@ -75,7 +75,7 @@ def test_signs_of_an_effect():
     found = signs("raw+jpeg", GAP, TRIAL, others, TRIAL.z, 0.7, (was, now), 0.3)
     assert found.size == pytest.approx(math.log2(1 + 4)) and found.gap == pytest.approx(math.log2(11))
     assert (found.closed, found.sure, found.surely) == pytest.approx((0.5, 0.8, 0.6))
-    assert (found.lead, found.lead_alike) == pytest.approx((0.8, 0.2))
+    assert (found.lead, found.lead_alike, found.ahead) == pytest.approx((0.8, 0.2, 0.2))
     assert (found.form, found.even) == pytest.approx((1.0, 1.0))
     assert (found.learnt, found.halves, found.left, found.later) == pytest.approx((0.5 / 0.6, 0.7, 0.3, 0.0))
     assert found.contrary == 0.5 and found.own_share == pytest.approx(5 / 8)
@@ -91,11 +91,16 @@ def test_a_change_that_only_partly_hits_the_gap_has_another_form():
 
 
 def test_signs_of_what_is_left():
-    found = left_signs(GAP, 4.0, 0.9)
+    found = left_signs(GAP, 4.0, 0.9, null_drop=2.0)
     assert found == pytest.approx(
-        {"gap": math.log2(11), "left": math.log2(4), "share_left": 0.3, "likeliest": 0.9}
+        {"excess": math.log2(1 + 10 / 2), "left": math.log2(4), "share_left": 0.3, "likeliest": 0.9}
     )
-    assert left_signs(GAP, 0.5, 0.0)["left"] == 0.0
+    assert left_signs(GAP, 0.5, 0.0, 2.0)["left"] == 0.0
+
+
+def test_a_gap_of_half_of_what_harmless_mismatches_have_is_as_good_as_none():
+    small, none, more = (left_signs(Gap(before, 1.0), 1.0, 0.0, 2.0) for before in (2.0, 0.5, 2.2))
+    assert small["excess"] == none["excess"] < more["excess"]
 
 
 def test_a_case_without_a_gap_is_told_from_one_that_was_not_refitted():

@@ -22,6 +22,7 @@ _FAMILIES = frozenset({"luma_denoising", "chroma_denoising", "resampling", "shar
 """Effects whose numbers are shares of filters: a negative one does the opposite of what the name says."""
 _TINY = 1e-9
 _LITTLE = 0.01  # units
+_UNTOLD = 0.5  # shares of `null_drop`: weak effects leave gaps as small as harmless mismatches do
 
 
 class Signs(NamedTuple):
@@ -36,6 +37,7 @@ class Signs(NamedTuple):
         lead: how much more it closes than any effect that it is not easily confused with, over `closed`,
             within [-1, 1].
         lead_alike: the same of the effects that it is easily confused with.
+        ahead: the smaller of both: how much more it closes than any other effect.
         form: its drop of the gap over the mean square that it changes, within [-1, 1.5]: 1 if what it
             changes is a part of the gap, less if it changes something else as well.
         even: cosine between both over pairs and tiles.
@@ -60,6 +62,7 @@ class Signs(NamedTuple):
     surely: float
     lead: float
     lead_alike: float
+    ahead: float
     form: float
     even: float
     learnt: float
@@ -109,14 +112,19 @@ def signs(
     was, now = (_by_axis(kind, gap, state) for state in states)
     own, rest = set(effect.axes), {*was, *now} - set(effect.axes)
     negative = -np.minimum(numbers, 0).sum() / max(np.abs(numbers).sum(), _TINY)
+    lead, lead_alike = (
+        _within(1 - max((others[n] for n in names), default=0.0) / closed, -1, 1)
+        for names in (set(others) - near, near)
+    )
     return Signs(
         size=float(np.log2(1 + max(trial.low * gap.scale / gap.unit, 0.0))),
         gap=float(np.log2(max(gap.before / max(gap.floor, gap.least, _TINY), 0.5))),
         closed=_within(trial.closed / max(trial.bars.rest, 0.05), 0, 1.2),
         sure=_within(trial.low / closed, -1, 1),
         surely=_within(trial.surely / closed, -1, 1),
-        lead=_within(1 - max((others[n] for n in set(others) - near), default=0.0) / closed, -1, 1),
-        lead_alike=_within(1 - max((others[n] for n in near), default=0.0) / closed, -1, 1),
+        lead=lead,
+        lead_alike=lead_alike,
+        ahead=min(lead, lead_alike),
         form=_within(drops.sum() / max(changes.sum(), _TINY), -1, 1.5),
         even=float(drops @ changes) / size if size > 0 else 0.0,
         learnt=_within(trial.closed / max(trial.learnt, 1e-3), 0, 1.5),
@@ -154,16 +162,19 @@ def _within(value: float, low: float, high: float) -> float:
     return float(np.clip(value, low, high))
 
 
-def left_signs(gap: Gap, after: float, likeliest: float) -> dict[str, float]:
+def left_signs(gap: Gap, after: float, likeliest: float, null_drop: float) -> dict[str, float]:
     """Signs of what is left: for the questions whether something else is missing, and whether nothing is.
 
     Args:
         gap: at the base.
         after: the gap with the named effects.
         likeliest: the highest probability of an effect.
+        null_drop: [units] by how much an effect may lower the gap of a camera that lacks nothing; half of
+            it above the floor is as good as nothing.
     """
+    excess = max(gap.before - gap.floor, 0.0) / gap.unit / null_drop
     return {
-        "gap": float(np.log2(1 + max(gap.before - gap.floor, 0.0) / gap.unit)),
+        "excess": float(np.log2(1 + max(excess, _UNTOLD))),
         "left": float(np.log2(1 + max(after - gap.floor, 0.0) / gap.unit)),
         "share_left": float(np.clip((after - gap.floor) / gap.scale, 0, 1)),
         "likeliest": likeliest,

@@ -140,7 +140,8 @@ def searched(case: Case, gap: Gap, tick: Tick) -> Found:
         causes = [(t.share_of(gap.scale / above.scale), alike) for t, alike in causes]
         trials = {name: t.share_of(gap.scale / above.scale) for name, t in trials.items()}
     reached = causes[-1][0].after if causes else gap.before
-    left = left_signs(above or gap, reached, max(probable.values(), default=0.0))
+    most = max(probable.values(), default=0.0)
+    left = left_signs(above or gap, reached, most, criteria.null_drop)
     probable |= {q: score.probability(q, left) for q in (score.OTHER, score.NONE)}
     accepted = [t.effect for t, _ in found.causes] + [n for n in trials if n not in found.trials]
     return Found(
