@@ -46,6 +46,7 @@ _TIMES = (
     "demo.json",
 )
 _LONG = ("demo", "diagnose", "downstream")
+_FORKED = ("data fetch",)  # its server is known to this process, and to those that are forked from it
 
 
 class Job:
@@ -58,6 +59,11 @@ class Job:
     def ends(self) -> bool:
         """Whether it is run to its end: others take minutes."""
         return self.name not in _LONG
+
+    @property
+    def anew(self) -> bool:
+        """Whether it may run in a process that begins anew."""
+        return self.name not in _FORKED
 
     def command(self, out: Path) -> list[str]:
         return [w.format(data=self.data, out=out) for w in COMMANDS[self.name].split()]

@@ -152,7 +152,7 @@ def campaign(name: str, times: int, state: Path, data: Path, until: float) -> No
             if time.monotonic() > until:
                 return
             rng = np.random.default_rng((i, *name.encode()))
-            anew = i % ANEW == 0
+            anew = job.anew and i % ANEW == 0
             delay = rng.uniform(0, length + 2 * anew)
             number = list(ENDINGS)[i // 2 % 2 if anew else i % 2]
             found = stopped(job.command(out), delay, number, log, anew=anew)
