@@ -42,7 +42,7 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
     Args:
         name: one of `MODELS`.
         seed: of the weights.
-        **options: of the constructor, as depth or features.
+        **options: of the constructor, as depth or features; lists, as files hold them, are tuples.
 
     Raises:
         InputError: no such network or option.
@@ -54,6 +54,7 @@ def make_model(name: str, *, seed: int = 0, **options: Any) -> nnx.Module:
     """
     if name not in MODELS:
         raise InputError(f"no model named {name!r}; there are {', '.join(MODELS)}")
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
     try:
         return MODELS[name](rngs=nnx.Rngs(seed), **options)
     except TypeError as error:
@@ -69,9 +70,8 @@ def read_network(path: str | Path) -> tuple[nnx.Module, dict[str, Any]]:
     arrays, about = read_arrays(path)
     if not isinstance(about.get("model"), str) or not isinstance(about.get("options"), dict):
         raise InputError(f"{path}: does not say which network it holds")
-    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in about["options"].items()}
-    # shapes alone: drawing weights that are replaced would take a second
-    model = nnx.eval_shape(lambda: make_model(about["model"], **options))
+    # shapes alone: drawing weights that are replaced would take seconds
+    model = nnx.eval_shape(lambda: make_model(about["model"], **about["options"]))
     fill(model, arrays, path)
     return model, about
 

@@ -315,7 +315,6 @@ def _make_model(config: TrainConfig) -> nnx.Module:
     options = dict(config.model_options)
     if config.bf16:
         options["dtype"] = jax.numpy.bfloat16
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
     return make_model(config.model, seed=config.seed, **options)
 
 

@@ -233,6 +233,7 @@ def test_the_map_is_learned_and_stays_learned_where_there_is_no_noise():
 def test_a_network_goes_through_a_file(name, tmp_path, rng):
     model, path = make_model(name, seed=3, **SMALL[name]), tmp_path / "network.npz"
     save_network(path, model, name, SMALL[name], light="encoded")
+    jax.clear_caches()
     with compile_times() as compiled:
         back, about = read_network(path)
     assert not compiled  # no weights are drawn, only to be replaced
