@@ -110,12 +110,13 @@ class DngTags:
 
 @contextlib.contextmanager
 def quiet_tifffile() -> Iterator[None]:
-    """Keep tifffile from logging: what is wrong is told once, by an InputError."""
+    """Keep tifffile and its sums from logs and warnings: what is wrong is told once, by an InputError."""
     logger = logging.getLogger("tifffile")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     finally:
         logger.setLevel(level)
 

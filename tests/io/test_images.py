@@ -179,6 +179,16 @@ def test_a_tiff_with_one_number_that_cannot_be(tmp_path, capfd, change, words, c
     assert capfd.readouterr() == ("", "")
 
 
+def test_sums_of_damaged_numbers_are_not_warned_of(tmp_path, recwarn):
+    """tifffile compares the bits of the samples, which many numbers make an array: found by guided inputs."""
+    bits = np.resize(np.array([1e38, -3e38], "<f4"), 2000)
+    entries = ((256, 3, 1, 2), (257, 3, 1, 2), (258, 11, bits.size, 74), (273, 4, 1, 74), (277, 3, 1, 2000))
+    path = tmp_path / "a.tif"
+    path.write_bytes(tiff(*entries, body=bits.tobytes()))
+    refused(path, "damaged")
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", "jpeg", "packbits"])
 def test_what_libtiff_says_is_kept_back(tmp_path, capfd, compression):
     out = io.BytesIO()
