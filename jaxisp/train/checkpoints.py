@@ -1,6 +1,7 @@
 """Checkpoints of a run: written whole or not at all, the newest few and the best are kept."""
 
 import contextlib
+import datetime
 import logging
 import shutil
 import tempfile
@@ -147,6 +148,34 @@ class Checkpoints:
             manager.close()
 
 
+class _Listed(ocp.path.step.Metadata):  # type: ignore[misc]
+    """A checkpoint whose time is its folder's where its own is damaged: restoring says what is wrong."""
+
+    @property
+    def commit_timestamp(self) -> datetime.datetime:
+        try:
+            return super().commit_timestamp
+        except Exception:  # a parser on arbitrary bytes
+            return datetime.datetime.fromtimestamp(self.path.stat().mtime, tz=datetime.UTC)
+
+
+class _Names(ocp.path.step.NameFormat[_Listed]):  # type: ignore[misc]
+    """Orbax's names of checkpoints; it would open none where the metadata of one of them are damaged."""
+
+    def __init__(self) -> None:
+        self._standard = ocp.path.step.standard_name_format()
+
+    def build_name(self, step: int) -> str:
+        return self._standard.build_name(step)
+
+    def find_all(self, base_path: Any) -> Iterator[_Listed]:
+        return (_Listed(found.step, found.path) for found in self._standard.find_all(base_path))
+
+    def find_step(self, base_path: Any, step: int) -> _Listed:
+        found = self._standard.find_step(base_path, step)
+        return _Listed(found.step, found.path)
+
+
 @contextlib.contextmanager
 def _silent_restore() -> Iterator[None]:
     with silent_libraries():
@@ -167,6 +196,7 @@ def _manager(folder: Path, keep: int, reading: bool) -> ocp.CheckpointManager:
         create=not reading,
         cleanup_tmp_directories=not reading,
         enable_async_checkpointing=False,
+        step_name_format=_Names(),
     )
     return ocp.CheckpointManager(folder.resolve(), options=options)
 

@@ -45,6 +45,8 @@ def state():
     [
         ("_CHECKPOINT_METADATA", b""),
         ("_CHECKPOINT_METADATA", json.dumps({"a": 5}).encode()),
+        ("_CHECKPOINT_METADATA", b"2"),
+        ("_CHECKPOINT_METADATA", json.dumps({"commit_timestamp_nsecs": 10**40}).encode()),
         ("state/_METADATA", b"{"),
         ("state/manifest.ocdbt", b"\x0c\xdb\x3a\x2a" * 14),
         ("notes/metadata", b"\xff"),
@@ -68,3 +70,14 @@ def test_a_damaged_checkpoint_is_one_error_or_read_and_nothing_is_printed(
     finally:
         path.write_bytes(whole)
     assert capfd.readouterr().err == ""
+
+
+def test_damaged_metadata_of_the_newest_leave_the_one_before(tmp_path):
+    store = Checkpoints(tmp_path)
+    for step in (3, 4):
+        store.save(state()._replace(step=jnp.asarray(step)), None)
+    store.close()
+    (tmp_path / "checkpoints" / "last" / "4" / "_CHECKPOINT_METADATA").write_bytes(b"[]")
+    store = Checkpoints(tmp_path, reading=True)
+    assert store.steps() == [3, 4] and int(store.restore(state()).step) == 3
+    store.close()
