@@ -32,13 +32,13 @@ def main() -> int:
 
         status = command()
     except BaseException:
-        number = signals.came()
-        if number is None:
+        if signals.came() is None:
             raise
-        signals.tell()  # whatever the signal became on its way through libraries
-        status = signals.status_of(number)
-    if signals.came() and status:
-        signals.leave(status)
+        status = 1
+    number = signals.came()
+    if number is not None and status:
+        signals.tell()  # whatever the signal became on its way through libraries, a damaged file too
+        signals.leave(signals.status_of(number))
     return status
 
 

@@ -23,6 +23,14 @@ from jaxisp.process.signals import LINE
         time.sleep(60)
     except BaseException:
         raise RuntimeError from None""",
+        """try:
+        time.sleep(60)
+    except BaseException:
+        raise jaxisp.InputError("a.png: is damaged") from None""",
+        """try:
+        time.sleep(60)
+    except BaseException:
+        return 2  # as where one file of a batch is bad""",
     ],
 )
 def test_one_line_and_the_status(number, what):
