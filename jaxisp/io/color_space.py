@@ -16,7 +16,7 @@ D65 = (0.3127, 0.3290)
 SRGB_PRIMARIES = (0.64, 0.33), (0.30, 0.60), (0.15, 0.06)
 _SRGB_TO_XYZ = primaries_to_xyz(SRGB_PRIMARIES, D65)
 """Not the standard's four digits: profiles are made of the primaries, and greys are to stay grey."""
-_ROWS = 256  # of a picture at once, for the memory
+_AT_ONCE = 1 << 20  # px of a picture, for the memory
 _ALIKE = 1 / 255  # what counts as sRGB is nearer to it than this, everywhere
 
 
@@ -54,20 +54,21 @@ class ColorSpace:
         out = np.empty(pixels.shape, np.float32)
         matrix = self.to_srgb.T.astype(np.float32)
         codes = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 0
+        rows = max(_AT_ONCE // max(pixels.shape[1], 1), 1)
         if linear:
-            for top in range(0, len(pixels), _ROWS):
-                part = pixels[top : top + _ROWS].astype(np.float32)
-                out[top : top + _ROWS] = (part / np.float32(codes) if codes else part) @ matrix
+            for top in range(0, len(pixels), rows):
+                part = pixels[top : top + rows].astype(np.float32)
+                out[top : top + rows] = (part / np.float32(codes) if codes else part) @ matrix
             return out
         tables = [c(np.arange(codes + 1) / codes).astype(np.float32) for c in self.curves] if codes else []
-        for top in range(0, len(pixels), _ROWS):
-            part = pixels[top : top + _ROWS]
+        for top in range(0, len(pixels), rows):
+            part = pixels[top : top + rows]
             if codes:
                 light = np.stack([table[part[..., i]] for i, table in enumerate(tables)], -1)
             else:
                 light = np.stack([curve(part[..., i]) for i, curve in enumerate(self.curves)], -1)
             cut = np.clip(light.astype(np.float32) @ matrix, 0, 1)
-            out[top : top + _ROWS] = linear_to_srgb(cut)
+            out[top : top + rows] = linear_to_srgb(cut)
         return out
 
     @cached_property
