@@ -292,7 +292,8 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
     noise = [s.sensor_noise for s in shots if s.sensor_noise is not None]
     if noise:
         meta["raw_noise"] = {name: [getattr(n, name) for n in noise] for name in RawNoise._fields}
-    return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
+    prior = whole.init() | model.shares(outcome.design) | own | tables
+    return Recipe(whole, prior, "fitted to RAW+JPEG pairs", meta)
 
 
 def _seen(shots: Sequence[Shot]) -> Seen:
