@@ -116,7 +116,7 @@ class Options:
     @property
     def trials(self) -> int:
         """How many discrete choices are tried at most."""
-        demosaickers = 1 + 2 * MOST_TRIALS if self.demosaic == "auto" else 0
+        demosaickers = 1 + MOST_TRIALS + 1 + len(SHARES) if self.demosaic == "auto" else 0
         return demosaickers + (len(model.MEDIANS) - 1 if self.median == "auto" else 0)
 
 
@@ -227,7 +227,7 @@ class Search:
         """
         best, state = self._first()
         shared, own = self._near(best, state), best.median
-        for group in (self._demosaickers, self._passes, self._more_passes, self._medians, self._mixes):
+        for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
             others = self._nearest(list(group(best)), state)
             if not others:
                 continue
@@ -238,12 +238,30 @@ class Search:
             ranked = sorted(trials, key=lambda d: trials[d].objective)
             if group == self._demosaickers:
                 self._ranked = [d.demosaic for d in ranked]
-            gain = MIXED if group == self._mixes else GAIN
-            if trials[ranked[0]].objective < gain * trials[best].objective:
+            if trials[ranked[0]].objective < GAIN * trials[best].objective:
                 best = ranked[0]
-            elif group == self._mixes:
-                break  # a fit that takes none is the one without these trials, to the bit
             state = trials[best]
+        return self._mixed(best, state, shared if best.median == own else self._near(best, state))
+
+    def _mixed(self, best: model.Design, state: State, near: Near) -> tuple[model.Design, State]:
+        """The best choices, with another demosaicker mixed in where that is much nearer.
+
+        A mix stands for a demosaicker that is not among those that are tried, so this comes last. A fit that
+        takes none is the one without these trials, to the bit.
+        """
+        partners = [n for n in self._ranked if n in model.DEMOSAICKERS and n != best.demosaic][:PARTNERS]
+        if best.mixed or best.demosaic not in model.DEMOSAICKERS or not partners:
+            return best, state
+        designs = {name: dataclasses.replace(best, mixed=(name, SHARES[1])) for name in partners}
+        objectives = {name: self._fit(design).objective(state) for name, design in designs.items()}
+        nearest = min(partners, key=objectives.__getitem__)
+        if objectives[nearest] > self._fit(best).objective(state):
+            return best, state
+        mixes = [dataclasses.replace(best, mixed=(nearest, share)) for share in SHARES]
+        trials = {design: self._try("mixes", design, state, near) for design in (best, *mixes)}
+        chosen = min(mixes, key=lambda d: trials[d].objective)
+        if trials[chosen].objective < MIXED * trials[best].objective:
+            return chosen, trials[chosen]
         return best, state
 
     def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
@@ -328,14 +346,6 @@ class Search:
         if self.options.median == "auto":
             for size in model.MEDIANS[1:]:
                 yield dataclasses.replace(design, median=size)
-
-    def _mixes(self, design: model.Design) -> Iterator[model.Design]:
-        """Last, for a mix stands for what none of the other choices is."""
-        if design.mixed is None and design.demosaic in model.DEMOSAICKERS:
-            others = [n for n in self._ranked if n in model.DEMOSAICKERS and n != design.demosaic]
-            for name in others[:PARTNERS]:
-                for share in SHARES:
-                    yield dataclasses.replace(design, mixed=(name, share))
 
     def _try(self, group: str, design: model.Design, state: State, near: Near) -> State:
         name = f"{group.strip('_')}: {design.text}"

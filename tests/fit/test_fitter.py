@@ -177,7 +177,7 @@ def test_a_mix_stands_for_a_demosaicker_that_is_none_of_them(own):
     found = fit_examples([given], steps=6, median="none")
     assert " with " in found.design and "rcd" in found.design and "ahd_libraw" in found.design
     again = Recipe.from_toml(found.camera.to_toml())
-    np.testing.assert_array_equal(develop(given.raw, again), develop(given.raw, found.camera))
+    assert again == found.camera
     choices, _ = model.of_camera(again)
     settled = fit_examples([given], steps=6, median="none", demosaic=choices["demosaic"])
     assert found.pairs[0].held_out_psnr > settled.pairs[0].held_out_psnr + 0.5
