@@ -231,6 +231,7 @@ def page(cases: Cases) -> list[str]:
                 good = all(v >= limit if way == "at least" else v <= limit for v in values)
                 told, reached = ", ".join(f"{v:.2f}" for v in values), "yes" if good else "**no**"
                 lines.append(f"| {name} | {text} | {way} {limit:g} | {told} | {reached} |")
-    missing = [name for name in ("iphone7", "iphone7_tiles", *THIRD_PARTY) if name not in cases]
+    wanted = ("iphone7", "iphone7_tiles", *THIRD_PARTY, FRAME, INFINITE)
+    missing = [name for name in wanted if name not in cases]
     missing += [f"phone_{name}" for name in DESIGNS if f"phone_{name}" not in cases]
     return [*lines, "", f"Not measured yet: {', '.join(missing) or 'none'}."]
