@@ -28,6 +28,7 @@ from jaxisp.testing import smooth_image
 SMALL = {
     "bilateral": {"radius": 2, "chroma_radius": 3},
     "demosaic_markesteijn": {"passes": 1},
+    "demosaicking": {"algorithm": "bilinear", "partner": "dcb"},
     "unsharp_mask": {"radius": 3},
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},
@@ -40,6 +41,7 @@ OPTIONS = {
     "demosaic_markesteijn": {"passes": [1, 3], "clipped": [True, False]},
     "demosaic_menon": {"refining": [True, False]},
     "demosaic_normalized_convolution": {"cfa": ["RGGB", XTRANS]},
+    "demosaicking": {"algorithm": ["lmmse", "rcd"], "partner": ["dcb", "ahd-libraw"]},
     "guided_filter": {"radius": [1, 3]},
     "jpeg": {"subsampling": ["4:2:0", "4:4:4"], "row_phase": [0, 5]},
     "jpeg_file": {"subsampling": ["4:2:0"], "components": ["YCbCr", "RGB"], "converts": [True, False]},

@@ -52,14 +52,17 @@ def libraw_on_frame(path: Path, seed: int) -> dict[str, Any]:
 
 
 def framed_dng(path: Path, dng: Path) -> Path:
-    """The frame as a DNG of a camera that sees sRGB's primaries, balanced to grey on the whole."""
-    mosaic = np.fromfile(path, "<u2").reshape(1080, 1920)
-    light = [mosaic[i // 2 :: 2, i % 2 :: 2].astype(float).mean() - 200 for i in range(4)]
-    red, green, blue = light[3], (light[1] + light[2]) / 2, light[0]
-    neutral = (red / green, 1.0, blue / green)
+    """The frame as a DNG."""
+    return grey_dng(np.fromfile(path, "<u2").reshape(1080, 1920), "BGGR", 200, 4092, dng)
+
+
+def grey_dng(mosaic: np.ndarray, cfa: str, black: int, white: int, dng: Path) -> Path:
+    """A sensor's words as a DNG of a camera that sees sRGB's primaries, balanced to grey on the whole."""
+    light = [mosaic[i // 2 :: 2, i % 2 :: 2].astype(float).mean() - black for i in range(4)]
+    red, green, blue = (np.mean([v for v, c in zip(light, cfa) if c == color]) for color in "RGB")
     write_dng(
-        dng, mosaic, cfa="BGGR", black=(200,), white=4092, color_matrix=XYZ_TO_SRGB,
-        as_shot_neutral=neutral,
+        dng, mosaic, cfa=cfa, black=(black,), white=white, color_matrix=XYZ_TO_SRGB,
+        as_shot_neutral=(red / green, 1.0, blue / green),
     )  # fmt: skip
     return dng
 
@@ -91,6 +94,13 @@ def against(path: Path, seed: int) -> tuple[dict[str, Any], np.ndarray]:
         picture = in_a_child(path, settings)
     assert picture is not None, "LibRaw crashed without denoising"
     return settings, picture.astype(np.float32) / 255
+
+
+def developed_alike(path: Path, settings: dict[str, Any]) -> np.ndarray:
+    """Another file of that camera with the settings that `against` found usable: (H, W, 3) in [0, 1]."""
+    picture = in_a_child(path, settings)
+    assert picture is not None, "LibRaw crashed with settings that it took before"
+    return picture.astype(np.float32) / 255
 
 
 def in_a_child(path: Path, settings: dict[str, Any]) -> np.ndarray | None:

@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from experiments.fit_phones.common import SEED, Cases, Run, fitted_examples, framed
-from experiments.fit_phones.libraw import FRAME, against, framed_dng
+from experiments.fit_phones.libraw import FRAME, against, developed_alike, framed_dng, grey_dng
 from experiments.fit_phones.recovery import DESIGNS, developed, known_pairs
 from jaxisp.camera import develop
 from jaxisp.fit import Example
 from jaxisp.gap.base.plain_raw import raw_model
 from jaxisp.gap.objective.pixels import PixelObjective
 from jaxisp.gap.pairs.align_raw import raw_pairs
+from jaxisp.gap.pairs.stored import as_stored
+from jaxisp.gap.simulator.choices import unsampled
 from jaxisp.io import open_dataset, read_raw
 from jaxisp.io.datasets import Loaded
 from jaxisp.recipe import Recipe
@@ -31,6 +34,9 @@ MOST_SHIFT = 2
 SIDE, APART = 320, 512  # px of a crop, and between two
 FOLDS = 4  # of eight pairs: two are left out at a time
 THIRD_PARTY = ("fo_base", "rt_base")
+INFINITE = "infinite_isp"
+"""Frames of one sensor, 8 bits GRBG as PNG, black 12.5 of 255; the first outdoors is fitted."""
+FITTED = "Outdoor1"
 
 MUST: dict[str, tuple[str, str, float]] = {
     "iphone7": ("right half by the left's camera, and back [dB]", "at least", 33.5),
@@ -40,6 +46,7 @@ MUST: dict[str, tuple[str, str, float]] = {
     "plain": ("the same, below the diagnosis' plain base [dB]", "at most", 0.0),
     "left_out": ("pairs left out, below the true parameters [dB]", "at most", 0.5),
     "libraw": ("a crop 512 px away [dB]", "at least", 36.0),
+    "other raw": ("other RAW files of the camera [dB]", "at least", 36.0),
 }
 """By what a case reports: what it is, and what it must reach."""
 
@@ -49,11 +56,13 @@ def runs(data: Path | None) -> dict[str, Run]:
     if data is None:
         return own
     frame, raws = data / "raw" / f"{FRAME}.raw", sorted((data / "raw").glob("*.dng"))
+    frames = data / "raw" / INFINITE
     return (
         {"iphone7": partial(halves, data / "iphone7"), "iphone7_tiles": partial(tiles, data / "iphone7")}
         | {name: partial(other_scenes, data / "third_party" / name) for name in THIRD_PARTY}
         | {path.stem: partial(crops, path, i) for i, path in enumerate(raws)}
         | ({FRAME: partial(frame_crops, frame)} if frame.exists() else {})
+        | ({INFINITE: partial(other_raws, frames)} if frames.exists() else {})
         | own
     )
 
@@ -83,7 +92,10 @@ def halves(folder: Path) -> dict[str, Any]:
 
 
 def other_scenes(folder: Path) -> dict[str, Any]:
-    """Fitted to three scenes, measured on the other three; the diagnosis' plain base fitted to the same."""
+    """Fitted to three scenes, measured on the other three; the diagnosis' plain base fitted to the same.
+
+    The base is a picture before it is stored. It goes through the file's own encoder, as the camera's does.
+    """
     pairs = _loaded(folder)
     count = len(pairs) // 2
     examples = [loaded_example(p) for p in pairs]
@@ -91,8 +103,10 @@ def other_scenes(folder: Path) -> dict[str, Any]:
     own = [measured(result.camera, e) for e in examples]
     compared = raw_pairs(pairs)
     base = raw_model(pairs, compared, (), range(count))
-    done = PixelObjective.of(compared).rendered(base.model, np.zeros(len(base.model.coordinates)))
-    plain = [best_psnr(*both) for both in zip(done, compared.pictures)]
+    files = [p.jpeg for p in pairs]
+    model, still = unsampled(base.model, files[0]), np.zeros(len(base.model.coordinates))
+    done = PixelObjective.of(compared).rendered(model, still)
+    plain = [best_psnr(as_stored(d, f), wanted) for d, f, wanted in zip(done, files, compared.pictures)]
     mean, apart = float(np.mean(own[count:])), float(np.mean(own[:count]))
     return {
         "other": [apart - mean],
@@ -138,6 +152,30 @@ def crops(path: Path, seed: int) -> dict[str, Any]:
 def frame_crops(frame: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as temporary:
         return crops(framed_dng(frame, Path(temporary) / "frame.dng"), 200)
+
+
+def other_raws(folder: Path) -> dict[str, Any]:
+    """LibRaw's pictures of RAW files of one camera: the middle of one is fitted, that of others developed."""
+    paths = sorted(folder.glob("*.png"), key=lambda path: not path.name.startswith(FITTED))
+    with tempfile.TemporaryDirectory() as temporary:
+        frames = [np.asarray(Image.open(path), np.uint16) * 16 for path in paths]
+        dngs = [
+            grey_dng(frame, "GRBG", 200, 255 * 16, Path(temporary) / f"{path.stem}.dng")
+            for path, frame in zip(paths, frames)
+        ]
+        settings, first = against(dngs[0], 300)
+        pictures = [first, *(developed_alike(dng, settings) for dng in dngs[1:])]
+        middles = []
+        for dng, picture in zip(dngs, pictures):
+            whole = Example(dng.stem, read_raw(dng), picture)
+            ((y, x),) = _centred(whole, [(0, 0)])
+            middles.append(part(whole, slice(y, y + SIDE), slice(x, x + SIDE)))
+    result = fitted_examples(INFINITE, middles[:1])
+    return {
+        "other raw": [measured(result.camera, middle) for middle in middles[1:]],
+        "own": [measured(result.camera, middles[0])],
+        "settings": settings, "design": result.design,
+    }  # fmt: skip
 
 
 def _centred(whole: Example, places: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -193,6 +231,7 @@ def page(cases: Cases) -> list[str]:
                 good = all(v >= limit if way == "at least" else v <= limit for v in values)
                 told, reached = ", ".join(f"{v:.2f}" for v in values), "yes" if good else "**no**"
                 lines.append(f"| {name} | {text} | {way} {limit:g} | {told} | {reached} |")
-    missing = [name for name in ("iphone7", "iphone7_tiles", *THIRD_PARTY) if name not in cases]
+    wanted = ("iphone7", "iphone7_tiles", *THIRD_PARTY, FRAME, INFINITE)
+    missing = [name for name in wanted if name not in cases]
     missing += [f"phone_{name}" for name in DESIGNS if f"phone_{name}" not in cases]
     return [*lines, "", f"Not measured yet: {', '.join(missing) or 'none'}."]

@@ -288,6 +288,6 @@ def _in_light(chain: Chain) -> list[Stage]:
     """The stages up to demosaicking or encoding."""
 
     def ends(one: Stage) -> bool:
-        return one.fn.__name__ == "srgb_oetf" or one.fn.__name__.startswith("demosaic_")
+        return one.fn.__name__ == "srgb_oetf" or one.fn.__name__.startswith("demosaic")
 
     return list(itertools.takewhile(lambda one: not ends(one), chain.stages()))

@@ -69,7 +69,8 @@ def fit_examples(
         examples: the pairs, all of one camera; or functions that load them, called when they are needed,
             so that many large pairs need not be in memory at once.
         steps: most Gauss-Newton steps of each phase.
-        demosaic: a demosaicking stage, or "demosaic_ahd_libraw"; "auto" tries all.
+        demosaic: a demosaicking stage, or "demosaic_ahd_libraw"; "auto" tries all, and mixes
+            of two where none is near enough.
         median: footprint of the median filter ("cross", "3x3", "5x5"), "none", or "auto".
         place: where denoising is: "camera" RGB or "encoded" RGB.
         start: a camera that an earlier fit wrote, or its file: the fit goes on from its parameters, with the
@@ -292,7 +293,8 @@ def _camera(params: Params, outcome: Outcome, shots: Sequence[Shot], unknown: li
     noise = [s.sensor_noise for s in shots if s.sensor_noise is not None]
     if noise:
         meta["raw_noise"] = {name: [getattr(n, name) for n in noise] for name in RawNoise._fields}
-    return Recipe(whole, whole.init() | own | tables, "fitted to RAW+JPEG pairs", meta)
+    prior = whole.init() | model.shares(outcome.design) | own | tables
+    return Recipe(whole, prior, "fitted to RAW+JPEG pairs", meta)
 
 
 def _seen(shots: Sequence[Shot]) -> Seen:

@@ -18,7 +18,7 @@ from jaxisp.io.digests import read_sealed, sealed_json
 from jaxisp.io.files import parse_json, write_text
 from jaxisp.io.locks import locked
 
-VERSION = 3
+VERSION = 4
 
 
 @dataclasses.dataclass

@@ -12,7 +12,7 @@ from jaxisp.errors import InputError, meant, short
 from jaxisp.io import Jpeg
 from jaxisp.pipeline import Chain, Params, Stage, stage
 from jaxisp.recipe import Recipe
-from jaxisp.stages import STAGES
+from jaxisp.stages import STAGES, choice
 from jaxisp.stages.balance import ColorMatrix, Saturation
 from jaxisp.stages.choice import HALVED, ChromaSubsampling
 from jaxisp.stages.denoise.bilateral import Bilateral
@@ -44,6 +44,8 @@ _VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "demosaic_ahd_libraw": ("demosaic_ahd", {"delta": 1, "variant": "libraw"}),
 }
 """Demosaickers that are a stage with options."""
+MIX = "demosaicking"
+"""The stage that mixes two demosaickers."""
 MEDIANS = (None, "cross", "3x3", "5x5")
 PLACES = ("camera", "encoded")
 
@@ -75,6 +77,8 @@ class Design:
         lens: whether radial distortion and lateral colour are among its stages.
         sampling: whether chroma sampling is: where no file states it, for an encoder does it otherwise.
         inserted: stages of the user's own, each after the stage of a name; see `insertion`.
+        mixed: another of `DEMOSAICKERS` that is mixed in, and its share; None for none. A mix stands for a
+            demosaicker that is not among these.
     """
 
     demosaic: str = DEMOSAICKERS[0]
@@ -84,6 +88,7 @@ class Design:
     lens: bool = False
     sampling: bool = False
     inserted: tuple["Inserted", ...] = ()
+    mixed: tuple[str, float] | None = None
 
     @property
     def text(self) -> str:
@@ -92,19 +97,43 @@ class Design:
         lens = ", distortion and lateral colour" if self.lens else ""
         own = "".join(f", {node.name}" for node, _ in self.inserted)
         name = self.demosaic.removeprefix("demosaic_")
+        if self.mixed:
+            name += f" with {self.mixed[1]:.0%} {self.mixed[0].removeprefix('demosaic_')}"
         return f"{name}{passes}{median}, denoised in {self.place} RGB{lens}{own}"
 
 
 def head(cfa: str, design: Design) -> Chain:
     """Mosaic to camera RGB: nothing in it is fitted, so it runs once a picture."""
-    nodes: list[Stage] = [
-        stage("mosaic_white_balance", cfa=cfa),
-        stage("clip"),
-        _demosaicker(design.demosaic, cfa),
-    ]
+    one = _demosaicker(design.demosaic, cfa)
+    if design.mixed:
+        algorithm, partner = map(_member, (design.demosaic, design.mixed[0]))
+        one = stage(MIX, cfa=cfa, algorithm=algorithm, partner=partner)
+    nodes: list[Stage] = [stage("mosaic_white_balance", cfa=cfa), stage("clip"), one]
     if design.passes:
         nodes.append(stage("color_difference_median", passes=design.passes))
     return Chain(tuple(nodes), "raw_to_camera_rgb")
+
+
+def shares(design: Design) -> Params:
+    """The parameters of demosaicking: of two that are mixed, their shares."""
+    if design.mixed is None:
+        return {}
+    partner, share = _member(design.mixed[0]), design.mixed[1]
+    own = [share * (name == partner) for name in choice.DEMOSAICKERS]
+    return {MIX: choice.Demosaicking(shares=np.asarray(own, np.float32))}
+
+
+def _member(name: str) -> str:
+    """What `choice.DEMOSAICKERS` calls one of `DEMOSAICKERS`."""
+    return name.removeprefix("demosaic_").replace("_", "-")
+
+
+def _mixed_in(node: Stage, params: Params) -> tuple[str, tuple[str, float]]:
+    """The two demosaickers of a stage that mixes them, and the share of the second."""
+    members = {_member(name): name for name in DEMOSAICKERS}
+    partner = str(node.options["partner"])
+    share = float(np.asarray(params[MIX].shares)[list(choice.DEMOSAICKERS).index(partner)])
+    return members[str(node.options["algorithm"])], (members[partner], share)
 
 
 def demosaickers() -> list[str]:
@@ -272,6 +301,10 @@ def of_camera(camera: Recipe, inserted: Sequence[Inserted] = ()) -> tuple[dict[s
     """
     stages = {s.name: s for s in camera.chain.stages()}
     found = [demosaicker_of(s) for s in stages.values() if s.fn.__name__.startswith("demosaic_")]
+    mixed = None
+    if MIX in stages:
+        own, mixed = _mixed_in(stages[MIX], camera.prior)
+        found.append(own)
     missing = sorted({"exposure", "color_matrix", "unsharp_mask"} - set(camera.prior))
     if len(found) != 1 or missing:
         why = f"it has no {', '.join(missing)}" if missing else f"it demosaicks {len(found)} times"
@@ -280,6 +313,7 @@ def of_camera(camera: Recipe, inserted: Sequence[Inserted] = ()) -> tuple[dict[s
     median = stages.get("median")
     choices = {
         "demosaic": found[0],
+        "mixed": mixed,
         "passes": int(str(again.options["passes"])) if again else 0,
         "median": str(median.options["footprint"]) if median else None,
         "lens": all(name in stages for name in LENS),

@@ -47,7 +47,7 @@ def balanced(raw: Raw) -> np.ndarray:
 
 def demosaicked(mosaic: np.ndarray, cfa: str, design: model.Design) -> jax.Array:
     """Camera RGB of a whole balanced mosaic."""
-    return run(demosaicker(cfa, design), {}, jnp.asarray(mosaic))
+    return run(demosaicker(cfa, design), model.shares(design), jnp.asarray(mosaic))
 
 
 def demosaicker(cfa: str, design: model.Design) -> Chain:

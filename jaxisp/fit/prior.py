@@ -77,7 +77,7 @@ def prior_from_cameras(
     encoder = next((c for c in loaded if JPEG in c.prior), None)
     if encoder:
         kept += [node for node in encoder.chain.nodes if node.name == JPEG]
-    cfa = dict(next(s for s in first.chain.stages() if s.name.startswith("demosaic_")).options)["cfa"]
+    cfa = dict(next(s for s in first.chain.stages() if s.name.startswith("demosaic")).options)["cfa"]
     encoded = "denoise_encoding" not in first.prior
     chain = Chain(tuple(_nodes(kept, str(cfa), encoded)), name)
     ev = float(np.mean([float(c.prior["exposure"].exposure_ev) for c in loaded]))
@@ -110,7 +110,7 @@ def _check_fitted(camera: Recipe) -> None:
 
 def _design(camera: Recipe) -> list[str]:
     """Its demosaicker and median, where it has one."""
-    stages = [s for s in camera.chain.stages() if s.name.startswith(("demosaic_", "median"))]
+    stages = [s for s in camera.chain.stages() if s.name.startswith(("demosaic", "median"))]
     return [" ".join([s.name, *(f"{v}" for k, v in s.options.items() if k != "cfa")]) for s in stages]
 
 

@@ -32,6 +32,8 @@ FAR, STRESSED = (
 )  # tolerances that all intensities together may be off, and by what else they weigh more
 MOST_TRIALS = 5  # of one kind of choice that get steps
 GAIN = 0.998  # of the objective, that a more elaborate choice must reach
+MIXED = 0.97  # of the objective, that a mix of two demosaickers must reach
+PARTNERS, SHARES = 3, (0.2, 0.35, 0.5)  # demosaickers that the best is mixed with, and what they get
 FIRST_STEPS, LAST_STEPS, LENS_STEPS = 10, 10, 2
 START_STEPS = 4  # that each of several starts gets before one is chosen
 SHOWS = 0.99  # of the objective, that the lens must reach
@@ -75,10 +77,11 @@ class Options:
         choices, _ = self.given
         own = {
             "demosaic": choices.get("demosaic") if self.demosaic == "auto" else None,
+            "mixed": choices.get("mixed") if self.demosaic == "auto" else None,
             "passes": choices.get("passes") if self.demosaic == "auto" else None,
             "median": choices.get("median") if self.median == "auto" else None,
         }
-        plain = model.Design(demosaic, 0, self._median, self.place, inserted=self.inserted)
+        plain = model.Design(demosaic, median=self._median, place=self.place, inserted=self.inserted)
         return dataclasses.replace(plain, **{name: v for name, v in own.items() if v is not None})
 
     @functools.cached_property
@@ -106,14 +109,14 @@ class Options:
         """Those that demosaick otherwise than the first and will be tried."""
         if self.demosaic != "auto":
             return []
-        plain = [dataclasses.replace(self.first, demosaic=name) for name in model.DEMOSAICKERS]
+        plain = [dataclasses.replace(self.first, demosaic=name, mixed=None) for name in model.DEMOSAICKERS]
         more = dataclasses.replace(self.first, passes=self.first.passes + 1)
         return [design for design in (*plain, more) if design != self.first]
 
     @property
     def trials(self) -> int:
         """How many discrete choices are tried at most."""
-        demosaickers = 1 + MOST_TRIALS if self.demosaic == "auto" else 0
+        demosaickers = 1 + MOST_TRIALS + 1 + len(SHARES) if self.demosaic == "auto" else 0
         return demosaickers + (len(model.MEDIANS) - 1 if self.median == "auto" else 0)
 
 
@@ -159,7 +162,8 @@ class Search:
         """Where these shots start from."""
         self.losses: list[tuple[str, float]] = []
         self.tried: list[tuple[str, float]] = []
-        self._sources: dict[tuple[str, int, bool], tuple[View, ...]] = {}
+        self._sources: dict[tuple[Any, ...], tuple[View, ...]] = {}
+        self._ranked: list[str] = []  # demosaickers that got steps, the nearest first
         self._tallied = [_tallied(shot) for shot in self.shots]
         self._done = 0
         self._scale: float | None = None
@@ -188,8 +192,8 @@ class Search:
         Some groups are for trials: a program for them, other than the first design's, need not be quick.
         """
         first = self.options.first
-        key = design.demosaic, design.passes, whole
-        once = not whole and key[:2] != (first.demosaic, first.passes)
+        key = design.demosaic, design.mixed, design.passes, whole
+        once = not whole and key[:3] != (first.demosaic, first.mixed, first.passes)
         if key not in self._sources:
             while len(self._sources) > 1:
                 self._sources.pop(next(iter(self._sources)))
@@ -231,10 +235,33 @@ class Search:
             for design in [best, *others]:
                 near = shared if design.median == own else self._near(design, state)
                 trials[design] = self._try(group.__name__, design, state, near)
-            chosen = min(trials, key=lambda d: trials[d].objective)
-            if trials[chosen].objective < GAIN * trials[best].objective:
-                best = chosen
+            ranked = sorted(trials, key=lambda d: trials[d].objective)
+            if group == self._demosaickers:
+                self._ranked = [d.demosaic for d in ranked]
+            if trials[ranked[0]].objective < GAIN * trials[best].objective:
+                best = ranked[0]
             state = trials[best]
+        return self._mixed(best, state, shared if best.median == own else self._near(best, state))
+
+    def _mixed(self, best: model.Design, state: State, near: Near) -> tuple[model.Design, State]:
+        """The best choices, with another demosaicker mixed in where that is much nearer.
+
+        A mix stands for a demosaicker that is not among those that are tried, so this comes last. A fit that
+        takes none is the one without these trials, to the bit.
+        """
+        partners = [n for n in self._ranked if n in model.DEMOSAICKERS and n != best.demosaic][:PARTNERS]
+        if best.mixed or best.demosaic not in model.DEMOSAICKERS or not partners:
+            return best, state
+        designs = {name: dataclasses.replace(best, mixed=(name, SHARES[1])) for name in partners}
+        objectives = {name: self._fit(design).objective(state) for name, design in designs.items()}
+        nearest = min(partners, key=objectives.__getitem__)
+        if objectives[nearest] > self._fit(best).objective(state):
+            return best, state
+        mixes = [dataclasses.replace(best, mixed=(nearest, share)) for share in SHARES]
+        trials = {design: self._try("mixes", design, state, near) for design in (best, *mixes)}
+        chosen = min(mixes, key=lambda d: trials[d].objective)
+        if trials[chosen].objective < MIXED * trials[best].objective:
+            return chosen, trials[chosen]
         return best, state
 
     def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
@@ -304,8 +331,8 @@ class Search:
     def _demosaickers(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":
             for name in model.DEMOSAICKERS:
-                if name != design.demosaic:
-                    yield dataclasses.replace(design, demosaic=name)
+                if design.mixed or name != design.demosaic:
+                    yield dataclasses.replace(design, demosaic=name, mixed=None)
 
     def _passes(self, design: model.Design) -> Iterator[model.Design]:
         if self.options.demosaic == "auto":

@@ -16,9 +16,10 @@ from jaxisp.fit.align import Alignment
 from jaxisp.fit.lens import STRAIGHT, Lens, covered
 from jaxisp.fit.pair import Example, align, balanced, demosaicker
 from jaxisp.fit.raw_noise import RawNoise, raw_noise
+from jaxisp.fit.sharing import as_arrays
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
-from jaxisp.pipeline import Chain, over_batch, run_batch
+from jaxisp.pipeline import Chain, Params, over_batch, run_batch
 from jaxisp.process.programs import QUICK
 
 TILE = 64
@@ -86,13 +87,14 @@ class Split(NamedTuple):
 
 def with_source(chunk: Chunk, cfa: str, design: model.Design, *, once: bool = False) -> Chunk:
     """The chunk with its mosaic demosaicked; `once`: by a program that is soon compiled, and slow."""
-    chain, mosaics = demosaicker(cfa, design), jnp.asarray(chunk.source)
-    return chunk._replace(source=_once(chain, mosaics) if once else run_batch(chain, {}, mosaics))
+    chain, shares = demosaicker(cfa, design), as_arrays(model.shares(design))
+    run = _once if once else run_batch
+    return chunk._replace(source=run(chain, shares, jnp.asarray(chunk.source)))
 
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
-def _once(chain: Chain, mosaics: jax.Array) -> jax.Array:
-    return over_batch(chain, {}, mosaics, None)
+def _once(chain: Chain, params: Params, mosaics: jax.Array) -> jax.Array:
+    return over_batch(chain, params, mosaics, None)
 
 
 def split(

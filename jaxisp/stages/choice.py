@@ -73,6 +73,10 @@ def demosaickers(cfa: str) -> Mapping[str, Callable[..., jax.Array]]:
 
 
 Algorithm = Annotated[str, one_of(*DEMOSAICKERS, *XTRANS_DEMOSAICKERS)]
+ANY = "any"
+Partner = Annotated[str, one_of(ANY, *DEMOSAICKERS)]
+FARTHEST = 16
+"""px that an algorithm for Bayer mosaics looks, at most."""
 
 
 @parameters
@@ -82,43 +86,46 @@ class Demosaicking:
     shares: Leaf = param((0.0,) * len(DEMOSAICKERS), (-0.5, 1.5), "1", doc=", ".join(DEMOSAICKERS))
 
 
-@register
+@register(reach=lambda o: None if o["partner"] == ANY else FARTHEST)
 def demosaicking(
     params: Demosaicking,
     image: Mosaic,
     *,
     cfa: Pattern = "RGGB",
     algorithm: Algorithm = "malvar",
+    partner: Partner = ANY,
 ) -> CameraRGB:
     """Demosaick by one of several algorithms, or a mix, the choice being a parameter.
 
     `y = D(x) + sum_k share_k (D_k(x) - D(x))`. One whose share is 0 is not run (under `vmap`,
-    and for gradients to the shares, all are).
+    and for gradients to the shares, all are). With a `partner` that one alone is mixed in.
 
     Args:
         params: the shares; on X-Trans the first three, in the order of `XTRANS_DEMOSAICKERS`.
         image: (H, W) linear light, any range.
         cfa: the Bayer or X-Trans pattern, row-major from the top-left.
         algorithm: D, which all shares 0 leave: one of `DEMOSAICKERS`, or of `XTRANS_DEMOSAICKERS`.
+        partner: the one of `DEMOSAICKERS` whose share counts, so that no other is compiled; "any": all.
 
     Returns:
         (H, W, 3) camera RGB.
 
     Raises:
-        ValueError: unknown pattern, or an algorithm that is not for it.
+        ValueError: unknown pattern, or an algorithm or a partner that is not for it.
 
     Gradient: surrogate: exact to the shares; to the image that of the algorithms.
 
     Source: see the stages named.
     """
     known = demosaickers(cfa)
-    if algorithm not in known:
-        kind = "X-Trans" if is_xtrans(cfa) else "a Bayer pattern"
-        raise ValueError(f"demosaicking: algorithm {algorithm!r} on {kind}, expected {', '.join(known)}")
+    for option, name in (("algorithm", algorithm), ("partner", partner)):
+        if name not in known and (option, name) != ("partner", ANY):
+            kind = "X-Trans" if is_xtrans(cfa) else "a Bayer pattern"
+            raise ValueError(f"demosaicking: {option} {name!r} on {kind}, expected {', '.join(known)}")
     start = as_rows(known[algorithm](image, cfa=cfa))
     change = jnp.zeros_like(start)
     for share, (name, run) in zip(params.shares, known.items()):
-        if name == algorithm:  # D less D
+        if name == algorithm or partner not in (ANY, name):  # D less D, or not mixed in
             continue
         change = change + weighted(lambda m, s, run=run: as_rows(run(m, cfa=cfa)) - s, share, image, start)
     return from_rows(start + change, (*image.shape, 3))

@@ -22,6 +22,7 @@ from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, sharing
 from jaxisp.fit.tiles import prepare, split
 from jaxisp.io import open_dataset, orient, read_jpeg, write_jpeg
 from jaxisp.io.jpeg import decode_jpeg
+from jaxisp.pipeline import Chain
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scene, write_pairs
 from tests.fit.conftest import PLAIN, SIZE, example
@@ -154,10 +155,35 @@ def test_halved_chroma_is_found_where_no_file_states_it(own, refitted, result):
 def test_the_demosaicker_that_was_used_is_found(own):
     _, given = own
     found = fit_examples([given], steps=3, median="none")
-    assert found.design.startswith("malvar")
+    assert found.design.startswith("malvar,")
     tried = {text.split(",")[0] for text, _ in found.tried if "+" not in text}
     assert {"malvar"} < tried <= {name.removeprefix("demosaic_") for name in model.DEMOSAICKERS}
     assert len(tried) > MOST_TRIALS  # the nearest of the others, and the one that was begun with
+
+
+@pytest.mark.slow
+def test_a_mix_stands_for_a_demosaicker_that_is_none_of_them(own, monkeypatch):
+    camera, given = own
+    design = model.Design("demosaic_rcd", mixed=("demosaic_ahd_libraw", 0.35))
+    mix = model.head(given.raw.cfa, design).nodes[-1]
+    nodes = [mix if n.name.startswith("demosaic") else n for n in camera.chain.nodes]
+    truth = Recipe(Chain(tuple(nodes)), camera.prior | model.shares(design), meta=camera.meta)
+    given = dataclasses.replace(given, picture=develop(given.raw, truth))
+    found = fit_examples([given], steps=6, median="none")
+    mixed = found.design.split(",")[0]
+    assert " with " in mixed and "rcd" in mixed and "ahd_libraw" in mixed
+    again = Recipe.from_toml(found.camera.to_toml())
+    assert again == found.camera
+    assert fit_examples([given], steps=1, median="none", start=again).design.startswith(mixed)
+
+    monkeypatch.setattr("jaxisp.fit.search.MIXED", 0.0)
+    refused = fit_examples([given], steps=6, median="none")
+    assert any(" with " in text for text, _ in refused.tried) and " with " not in refused.design
+    monkeypatch.setattr("jaxisp.fit.search.PARTNERS", 0)
+    alone = fit_examples([given], steps=6, median="none")
+    assert not any(" with " in text for text, _ in alone.tried)
+    assert alone.camera == refused.camera  # the trials leave no trace
+    assert found.pairs[0].held_out_psnr > alone.pairs[0].held_out_psnr + 0.5
 
 
 def test_a_stopped_fit_goes_on_where_it_was(own, refitted, tmp_path):

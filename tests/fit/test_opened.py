@@ -47,10 +47,14 @@ def test_a_camera_gives_its_choices_and_parameters():
     design = model.Design("demosaic_ahd", passes=2, median="3x3", lens=True)
     camera = Recipe(model.camera("RGGB", design), {"saturation": Saturation(amount=1.3)})
     choices, params = model.of_camera(camera)
-    assert choices == {"demosaic": "demosaic_ahd", "passes": 2, "median": "3x3", "lens": True}
+    assert choices == {
+        "demosaic": "demosaic_ahd", "mixed": None, "passes": 2, "median": "3x3", "lens": True
+    }  # fmt: skip
     assert float(params["saturation"].amount) == 1.3 and set(params) <= set(model.start())
     plain, _ = model.of_camera(Recipe(model.camera("RGGB", model.Design()), {}))
-    assert plain == {"demosaic": model.DEMOSAICKERS[0], "passes": 0, "median": None, "lens": False}
+    assert plain == {
+        "demosaic": model.DEMOSAICKERS[0], "mixed": None, "passes": 0, "median": None, "lens": False
+    }  # fmt: skip
     with pytest.raises(InputError, match="no camera from `jaxisp fit`"):
         model.of_camera(phone())
 
@@ -60,6 +64,17 @@ def test_a_camera_s_file_keeps_its_demosaicker(name):
     camera = Recipe(model.camera("GRBG", model.Design(name)), {})
     choices, _ = model.of_camera(Recipe.from_toml(camera.to_toml()))
     assert choices["demosaic"] == name and name in model.demosaickers()
+
+
+@pytest.mark.parametrize(
+    ("name", "mixed"), [("demosaic_rcd", "demosaic_ahd_libraw"), ("demosaic_ahd_libraw", "demosaic_malvar")]
+)
+def test_a_camera_s_file_keeps_the_two_demosaickers_that_it_mixes(name, mixed):
+    design = model.Design(name, passes=1, mixed=(mixed, 0.25))
+    camera = Recipe(model.camera("GRBG", design), model.shares(design))
+    choices, _ = model.of_camera(Recipe.from_toml(camera.to_toml()))
+    assert (choices["demosaic"], choices["mixed"]) == (name, (mixed, 0.25))
+    assert model.head("GRBG", design).reach is not None  # large frames are rendered in strips
 
 
 def test_a_start_brings_the_stages_that_were_inserted():

@@ -10,7 +10,7 @@ import pytest
 from jaxisp.camera import standard_camera
 from jaxisp.cli import main
 from jaxisp.errors import InputError
-from jaxisp.fit import prior_from_cameras
+from jaxisp.fit import model, prior_from_cameras
 from jaxisp.generate import degrade_files
 from jaxisp.io import write_png
 from jaxisp.pipeline import Chain, stage
@@ -63,6 +63,17 @@ def test_chroma_is_halved_before_the_picture_is_rounded(result):
     recipe = prior_from_cameras([Recipe(Chain(tuple(nodes)), prior | halving, meta=result.camera.meta)])
     names = [node.name for node in recipe.chain.nodes]
     assert names[-3:] == ["chroma_subsampling", "output_clip", "rounding"]
+
+
+def test_a_prior_keeps_the_two_demosaickers_that_a_camera_mixes(result):
+    design = model.Design("demosaic_bilinear", mixed=("demosaic_hibbard", 0.35))
+    mix, shares = model.head("RGGB", design).nodes[-1], model.shares(design)
+    nodes = [mix if n.name.startswith("demosaic") else n for n in result.camera.chain.nodes]
+    camera = Recipe(Chain(tuple(nodes)), result.camera.prior | shares, meta=result.camera.meta)
+    recipe = prior_from_cameras([camera, result.camera])
+    assert mix in recipe.chain.nodes
+    np.testing.assert_array_equal(recipe.prior["demosaicking"].shares, shares["demosaicking"].shares)
+    assert "differ in their stages: demosaicking" in recipe.description
 
 
 def test_a_camera_that_does_not_sharpen_is_no_camera_of_a_fit():

@@ -99,6 +99,20 @@ def test_a_step_by_another_choice_s_derivatives_is_nearly_one_by_its_own(fitted)
     assert begun - near == pytest.approx(begun - own, rel=0.1)
 
 
+@pytest.mark.parametrize("once", (True, False))
+def test_a_mix_is_the_weighted_mean_of_two_demosaickers(own, once):
+    shot = prepare(own[1])
+
+    def source(*args, **given):
+        design = model.Design(*args, **given)
+        return np.asarray(with_source(shot.chunks[0], shot.cfa, design, once=once).source)
+
+    one, other = source("demosaic_bilinear"), source("demosaic_ahd_libraw")
+    mixed = source("demosaic_bilinear", mixed=("demosaic_ahd_libraw", 0.35))
+    np.testing.assert_allclose(mixed, 0.65 * one + 0.35 * other, atol=1e-4)
+    assert np.abs(other - one).max() > 0.01
+
+
 @pytest.mark.parametrize("name", ["demosaic_rcd", "demosaic_lmmse"])
 def test_the_program_that_is_soon_compiled_demosaicks_alike(own, name):
     shot = prepare(own[1])

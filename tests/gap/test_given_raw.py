@@ -66,10 +66,11 @@ def test_each_form_that_the_fit_gives_a_camera_is_a_base():
     for design in (
         fitted.Design(lens=True, sampling=True, median="3x3"),
         fitted.Design(passes=1, place="encoded"),
+        fitted.Design("demosaic_rcd", mixed=("demosaic_ppg", 0.35)),
     ):
         chain = fitted.camera("GRBG", design)
         values = {name: start[name] for name in chain.init() if name in start}
-        recipe = Recipe(chain, values | {"vignetting": Vignetting(a2=0.3)})
+        recipe = Recipe(chain, values | fitted.shares(design) | {"vignetting": Vignetting(a2=0.3)})
         model = camera_model(recipe, [pair()], ALL)
         for i, c in enumerate(model.coordinates):
             assert hasattr(model.shared[c.node], c.move.field), c
@@ -77,6 +78,19 @@ def test_each_form_that_the_fit_gives_a_camera_is_a_base():
                 "the base is a point of its own"
             )
         assert model.origin(model.effects["vignetting"][0]) == pytest.approx(0.3)
+
+
+def test_a_camera_that_mixes_two_demosaickers_keeps_their_shares_and_others_can_have_some():
+    design = fitted.Design("demosaic_bilinear", mixed=("demosaic_hibbard", 0.35))
+    head = fitted.head("GRBG", design).nodes[-1]
+    recipe = Recipe(Chain((head, stage("srgb_oetf"), stage("rounding")), "mine"), fitted.shares(design))
+    given = pair()
+    model = camera_model(recipe, [given], ALL)
+    np.testing.assert_allclose(
+        render(model, given.raw.mosaic), wanted(recipe, given.raw.mosaic), atol=1.01 / 255
+    )
+    shares = np.asarray(model.shared["demosaicking"].shares)
+    assert shares.max() == np.float32(0.35) and len(model.effects["demosaicking"]) > 1
 
 
 def test_an_effect_moves_within_the_bounds_of_the_cameras_own_stage():

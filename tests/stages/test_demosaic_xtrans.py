@@ -258,3 +258,6 @@ def test_demosaicking_chooses_among_those_of_the_pattern():
     np.testing.assert_allclose(got, 0.75 * first + 0.25 * other, atol=1e-5)
     with pytest.raises(ValueError, match="'malvar' on X-Trans, expected markesteijn"):
         stage("demosaicking", cfa=XTRANS)({"demosaicking": Demosaicking()}, jnp.asarray(mosaic))
+    with pytest.raises(ValueError, match="partner 'rcd' on X-Trans, expected markesteijn"):
+        node = stage("demosaicking", cfa=XTRANS, algorithm="markesteijn", partner="rcd")
+        node({"demosaicking": Demosaicking()}, jnp.asarray(mosaic))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxisp.pipeline import run, stage
-from jaxisp.stages.choice import Demosaicking
+from jaxisp.stages.choice import DEMOSAICKERS, FARTHEST, Demosaicking
 from jaxisp.stages.resampling import Rescaling
 from jaxisp.stages.smoothing import ChromaDenoising, LumaDenoising, Sharpening
 
@@ -41,3 +41,23 @@ def test_the_derivative_at_0_is_what_a_member_changes(name, kind, field, rng):
     for k, change in enumerate(changes):
         np.testing.assert_allclose(slopes[..., k], change, atol=1e-5)
         assert back[k] == pytest.approx(float((weights * slopes[..., k]).sum()), rel=1e-3, abs=1e-3)
+
+
+def test_with_a_partner_no_other_member_counts(rng):
+    image = jnp.asarray(rng.uniform(0.1, 0.9, (14, 18)), jnp.float32)
+    shares = np.full(len(DEMOSAICKERS), 0.3, np.float32)
+    two = run(stage("demosaicking", partner="hibbard"), {"demosaicking": Demosaicking(shares=shares)}, image)
+    malvar, hibbard = (np.asarray(DEMOSAICKERS[name](image)) for name in ("malvar", "hibbard"))
+    np.testing.assert_allclose(two, 0.7 * malvar + 0.3 * hibbard, atol=1e-5)
+    assert np.abs(hibbard - malvar).max() > 0.01
+
+
+def test_a_mix_of_two_looks_as_far_as_the_farthest_of_all():
+    named = {name.replace("-", "_"): name for name in DEMOSAICKERS}
+    options = {"ahd_libraw": ("ahd", {"delta": 1, "variant": "libraw"})}
+    reaches = []
+    for name in named:
+        own, given = options.get(name, (name, {}))
+        reaches.append(stage(f"demosaic_{own}", **given).reach)
+    assert stage("demosaicking", partner="rcd").reach == FARTHEST == max(reaches)
+    assert stage("demosaicking").reach is None

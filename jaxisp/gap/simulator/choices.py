@@ -48,6 +48,8 @@ def _as_choice(node: Node) -> Node:
     if (name, options) == ("demosaic_ahd", {"delta": 1, "variant": "libraw"}):
         name, options = DEMOSAICKERS["ahd-libraw"].__name__, {}
     algorithms = {fn.__name__: algorithm for algorithm, fn in DEMOSAICKERS.items()}
+    if "partner" in options:  # a mix of two: others can have a share, too
+        return stage(node.fn, name=node.name, cfa=node.options["cfa"], algorithm=node.options["algorithm"])
     if options or name not in algorithms:
         return node
     return stage("demosaicking", cfa=node.options["cfa"], algorithm=algorithms[name])
