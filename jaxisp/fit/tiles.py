@@ -87,9 +87,19 @@ class Split(NamedTuple):
 
 def with_source(chunk: Chunk, cfa: str, design: model.Design, *, once: bool = False) -> Chunk:
     """The chunk with its mosaic demosaicked; `once`: by a program that is soon compiled, and slow."""
-    chain, shares = demosaicker(cfa, design), as_arrays(model.shares(design))
-    run = _once if once else run_batch
-    return chunk._replace(source=run(chain, shares, jnp.asarray(chunk.source)))
+    chain, mosaics = demosaicker(cfa, design), jnp.asarray(chunk.source)
+    if not once:
+        return chunk._replace(source=run_batch(chain, as_arrays(model.shares(design)), mosaics))
+    if design.mixed is None:
+        return chunk._replace(source=_once(chain, {}, mosaics))
+    # by the programs of both, which their own trials have compiled
+    name, share = design.mixed
+    alone = [model.Design(one) for one in (design.demosaic, name)]
+    own, other = (_once(demosaicker(cfa, one), {}, mosaics) for one in alone)
+    mixed = own + share * (other - own)
+    if design.passes:
+        mixed = _once(Chain(chain.nodes[1:], "medians"), {}, mixed)
+    return chunk._replace(source=mixed)
 
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)

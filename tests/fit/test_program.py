@@ -113,10 +113,16 @@ def test_a_mix_is_the_weighted_mean_of_two_demosaickers(own, once):
     assert np.abs(other - one).max() > 0.01
 
 
-@pytest.mark.parametrize("name", ["demosaic_rcd", "demosaic_lmmse"])
-def test_the_program_that_is_soon_compiled_demosaicks_alike(own, name):
+@pytest.mark.parametrize(
+    "design",
+    [
+        model.Design("demosaic_rcd"),
+        model.Design("demosaic_lmmse"),
+        model.Design("demosaic_lmmse", passes=1, mixed=("demosaic_rcd", 0.35)),
+    ],
+)
+def test_the_program_that_is_soon_compiled_demosaicks_alike(own, design):
     shot = prepare(own[1])
-    design = model.Design(name)
     quick, slow = (with_source(shot.chunks[0], shot.cfa, design, once=once).source for once in (True, False))
     np.testing.assert_allclose(quick, slow, atol=1e-4)
     assert np.asarray(slow).std() > 0.01
