@@ -17,6 +17,7 @@ from jaxisp.errors import InputError, one_line
 from jaxisp.io.digests import changed_files, note_files
 from jaxisp.io.files import reason
 from jaxisp.io.silence import silent_libraries
+from jaxisp.process import signals
 from jaxisp.train.step import State
 
 FOLDERS = ("best", "last")
@@ -69,7 +70,8 @@ class Checkpoints:
                 with silent_libraries():
                     return step, float(_notes(manager, step)["psnr"])
             except Exception:  # damaged: as if there were none
-                continue
+                if signals.came():  # a worse one would replace it
+                    raise
         return None
 
     def save(self, state: State, psnr: float | None) -> None:
@@ -122,6 +124,8 @@ class Checkpoints:
                 self._check(which, step)
                 return self._restore(self._managers[which], step, like)
             except Exception as error:  # damaged after it was written: the one before may be whole
+                if signals.came():  # orbax may turn it into another error
+                    raise
                 why = f"step {step}: {one_line(error)}"
         raise InputError(f"{self.run}: no {which} checkpoint that can be read ({why})")
 

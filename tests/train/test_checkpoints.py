@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from jaxisp.errors import InputError
+from jaxisp.process import signals
 from jaxisp.train.checkpoints import DIGESTS, Checkpoints
 from jaxisp.train.step import State
 
@@ -80,4 +81,21 @@ def test_damaged_metadata_of_the_newest_leave_the_one_before(tmp_path):
     (tmp_path / "checkpoints" / "last" / "4" / "_CHECKPOINT_METADATA").write_bytes(b"[]")
     store = Checkpoints(tmp_path, reading=True)
     assert store.steps() == [3, 4] and int(store.restore(state()).step) == 3
+    store.close()
+
+
+def test_what_a_signal_became_is_no_damage(run, monkeypatch):
+    """As if there were no best one, a worse one would replace it before the process ends."""
+    store = Checkpoints(run, reading=True)
+
+    def interrupted(*_):
+        raise RuntimeError("as libraries make of a signal")
+
+    monkeypatch.setattr(store, "_check", interrupted)
+    assert store.best is None
+    monkeypatch.setattr(signals, "came", lambda: 2)
+    with pytest.raises(RuntimeError, match="libraries"):
+        _ = store.best
+    with pytest.raises(RuntimeError, match="libraries"):
+        store.restore(state())
     store.close()
