@@ -19,7 +19,7 @@ from jaxisp.fit.raw_noise import RawNoise, raw_noise
 from jaxisp.fit.sharing import as_arrays
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
-from jaxisp.pipeline import Chain, Params, over_batch, run_batch
+from jaxisp.pipeline import Chain, over_batch, run_batch
 from jaxisp.process.programs import QUICK
 
 TILE = 64
@@ -91,20 +91,20 @@ def with_source(chunk: Chunk, cfa: str, design: model.Design, *, once: bool = Fa
     if not once:
         return chunk._replace(source=run_batch(chain, as_arrays(model.shares(design)), mosaics))
     if design.mixed is None:
-        return chunk._replace(source=_once(chain, {}, mosaics))
+        return chunk._replace(source=_once(chain, mosaics))
     # by the programs of both, which their own trials have compiled
     name, share = design.mixed
     alone = [model.Design(one) for one in (design.demosaic, name)]
-    own, other = (_once(demosaicker(cfa, one), {}, mosaics) for one in alone)
+    own, other = (_once(demosaicker(cfa, one), mosaics) for one in alone)
     mixed = own + share * (other - own)
     if design.passes:
-        mixed = _once(Chain(chain.nodes[1:], "medians"), {}, mixed)
+        mixed = _once(Chain(chain.nodes[1:], "medians"), mixed)
     return chunk._replace(source=mixed)
 
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
-def _once(chain: Chain, params: Params, mosaics: jax.Array) -> jax.Array:
-    return over_batch(chain, params, mosaics, None)
+def _once(chain: Chain, images: jax.Array) -> jax.Array:
+    return over_batch(chain, {}, images, None)
 
 
 def split(
