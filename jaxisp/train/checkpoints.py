@@ -175,9 +175,8 @@ class _Names(ocp.path.step.NameFormat[_Listed]):  # type: ignore[misc]
     def find_all(self, base_path: Any) -> Iterator[_Listed]:
         return (_Listed(found.step, found.path) for found in self._standard.find_all(base_path))
 
-    def find_step(self, base_path: Any, step: int) -> _Listed:
-        found = self._standard.find_step(base_path, step)
-        return _Listed(found.step, found.path)
+    def find_step(self, base_path: Any, step: int) -> Any:
+        return self._standard.find_step(base_path, step)
 
 
 @contextlib.contextmanager
