@@ -187,11 +187,11 @@ def test_batch_with_its_own_widths_equals_one_by_one():
 def test_planes_of_a_large_frame_go_one_by_one(monkeypatch):
     luma, chroma = scene(SHAPE, 0.02)
     together = filtered(chroma, luma, 15.0, 0.05, 4, 8)
-    assert "while" not in filtered.lower(chroma, luma, 15.0, 0.05, 4, 8).as_text()
+    loops = filtered.lower(chroma, luma, 15.0, 0.05, 4, 8).as_text().count("stablehlo.while")
     monkeypatch.setattr(grid, "_LARGE", 0)
     one_by_one = jax.jit(jax.vmap(partial(grid_planes, cell=4, bins=8)))
     arguments = [c[None] for c in chroma], luma[None], jnp.full(1, 15.0), jnp.full(1, 0.05)
-    assert "while" in one_by_one.lower(*arguments).as_text()  # and nothing else of it is a loop
+    assert one_by_one.lower(*arguments).as_text().count("stablehlo.while") > loops  # as planes are in turn
     alone = one_by_one(*arguments)
     for a, t in zip(alone, together):
         np.testing.assert_allclose(a[0], t, atol=2e-6)

@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.arrays.barriers import store, store_off_cpu
+from jaxisp.arrays.extents import Extent, mirrored
 from jaxisp.arrays.linear import inner_product, linear_call
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.platforms import by_platform
@@ -68,6 +69,7 @@ def bilateral(
     chroma_cell: Annotated[int, at_least(0), even] = 0,
     chroma_bins: Annotated[int, at_least(2)] = 32,
     iterations: Positive = 1,
+    extent: Extent | None = None,
 ) -> RGB:
     """Smooth luma and chroma where luma is alike, and keep its edges.
 
@@ -85,6 +87,7 @@ def bilateral(
             fast at any width, and right (`grid_planes`) from a chroma_sigma_space of 1.5 cells up.
         chroma_bins: of that grid, over the range of the filtered luma.
         iterations: how often the whole is repeated.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         (H, W, 3) in the domain of the image. Borders are reflected.
@@ -102,16 +105,25 @@ def bilateral(
             "bilateral: chroma_cell must be even and chroma_bins at least 2, "
             f"got {chroma_cell} and {chroma_bins}"
         )
-    y, cb, cr = rgb_to_ycbcr_planes(*planes(image))
+    height, width = image.shape[:2]
+    if extent is not None:
+        room = max(radius, chroma_cell - 1 if chroma_cell else chroma_radius)
+        image = jnp.pad(image, ((0, room), (0, room), (0, 0)))
+    # a sum over neighbours may come out otherwise where they are mirrored: what is beyond the picture is not
+    # what a pass before gave there
+    beyond = partial(mirrored, extent=extent) if extent is not None else lambda plane: plane
+    y, cb, cr = map(beyond, rgb_to_ycbcr_planes(*planes(image)))
     widths = params.chroma_sigma_space, params.chroma_sigma_range
-    for _ in range(iterations):
+    for i in range(iterations):
+        if i:
+            cb, cr = beyond(cb), beyond(cr)
         guide = _compressed(y, params.guide_gamma)
-        y = bilateral_plane(y, guide, params.luma_sigma_space, params.luma_sigma_range, radius)
+        y = beyond(bilateral_plane(y, guide, params.luma_sigma_space, params.luma_sigma_range, radius))
         if chroma_cell:
-            cb, cr = grid_planes((cb, cr), y, *widths, chroma_cell, chroma_bins)
+            cb, cr = grid_planes((cb, cr), y, *widths, chroma_cell, chroma_bins, extent)
         else:
             cb, cr = bilateral_planes((cb, cr), y, *widths, chroma_radius)
-    return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
+    return interleaved(tuple(p[:height, :width] for p in ycbcr_to_rgb_planes(y, cb, cr)))
 
 
 def _compressed(y: jax.Array, gamma: jax.Array) -> jax.Array:

@@ -16,6 +16,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from jaxisp.arrays.barriers import on_all_cores, store, store_off_cpu
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.linear import fused_sum, linear_call
 from jaxisp.arrays.platforms import by_platform
 from jaxisp.arrays.safe_math import straight_through
@@ -30,7 +31,13 @@ _FINEST = 4.0  # bins to a sigma_range; more would not be more exact
 
 
 def grid_planes(
-    planes: Planes, guide: jax.Array, sigma_space: Any, sigma_range: Any, cell: int = 4, bins: int = 32
+    planes: Planes,
+    guide: jax.Array,
+    sigma_space: Any,
+    sigma_range: Any,
+    cell: int = 4,
+    bins: int = 32,
+    extent: Extent | None = None,
 ) -> Planes:
     """What `bilateral_planes` gives with a radius without end, within 40 dB PSNR, in a fraction of the time.
 
@@ -45,6 +52,8 @@ def grid_planes(
         sigma_range: in the unit of the guide; below 0.58 steps between bins it acts as that.
         cell: side of a cell [px], even.
         bins: how many.
+        extent: of the picture, where the planes are a larger frame that goes on as its mirror image, by
+            cell - 1 px at least.
 
     Returns:
         The filtered planes. Borders are mirrored, at a multiple of the cell.
@@ -59,6 +68,7 @@ def grid_planes(
     u, *v = (_to_phases(x, cell) for x in ((guide - low) / step, *planes))
     u, values = store((u, jnp.stack([jnp.ones_like(u), *v])))
     columns, large = -(-width // cell), height * width > _LARGE
+    cells = extent and extent.over((cell, cell))
     # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
     by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
     by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
@@ -66,7 +76,7 @@ def grid_planes(
     def filtered(u: jax.Array, values: jax.Array) -> jax.Array:
         # stored as it is: with the shape that the blur wants it would be 8 times slower
         grid = store(_splat(u, values, bins))
-        grid = store(blurred(grid, columns, by_space, by_range, little_memory=large))
+        grid = store(blurred(grid, columns, by_space, by_range, cells, little_memory=large))
         return _sliced(u, grid, cell, columns + 2)
 
     run = filtered

@@ -1,6 +1,11 @@
-"""The blur of the bilateral grid along its three axes: discrete Gaussians (Lindeberg 1990), as products."""
+"""The blur of the bilateral grid along its three axes: discrete Gaussians (Lindeberg 1990).
+
+Each sum has its terms one after the other. So a grid has the same bits in a larger array, which a product of
+matrices does not give: a library orders its sums by the size.
+"""
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -8,20 +13,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_batching import custom_vmap
 
-from jaxisp.arrays.barriers import store
-from jaxisp.arrays.linear import fused_sum, linear_call, scaled
+from jaxisp.arrays.barriers import on_all_cores, store
+from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.linear import linear_call, scaled
 from jaxisp.arrays.platforms import by_platform
+from jaxisp.arrays.varying import alike
 
-Kernels = tuple[jax.Array, jax.Array]  # from the left and from the right
+Kernels = tuple[jax.Array, jax.Array, jax.Array]  # along rows, along columns, and how far they reach
+Filter = Callable[[Kernels, jax.Array], jax.Array]
 
 _AT_ONCE = 8  # planes, where memory is to be little
-_ROWS = 16  # so many that XLA takes one way of multiplying for every batch
+_UNROLLED = 32  # terms of a sum in one kernel; of more there is a loop
+_TERMS = 8  # in each of its turns
+_TILE, _WHOLE = 16, 96  # cells along an axis that are summed together, of more than so many
+_LANES = 8  # floats of a CPU's vector
+_VECTOR = 32  # XLA's CPU code for exp gives other bits where an array is shorter than a register or two
 _times = partial(jnp.matmul, precision=lax.Precision.HIGHEST)  # a GPU would round to 10 bits
 
 
 def blurred(
-    grid: jax.Array, columns: int, by_space: jax.Array, by_range: jax.Array, *, little_memory: bool = False
+    grid: jax.Array,
+    columns: int,
+    by_space: jax.Array,
+    by_range: jax.Array,
+    cells: Extent | None = None,
+    *,
+    little_memory: bool = False,
 ) -> jax.Array:
     """Blur a grid along bins, rows and columns; borders are mirrored, and the bins go on as zeros.
 
@@ -30,98 +49,201 @@ def blurred(
         columns: how many cells a row has.
         by_space: variance along rows and columns, in squared cells.
         by_range: variance along bins, in squared bins.
+        cells: rows and columns at the top left that the picture has, where those are not all.
         little_memory: True has a CPU take some planes at a time, each where it was.
 
     Returns:
-        (bins, planes, (rows + 3) * (columns + 2)): with a border of one cell, at the bottom of two.
+        (bins, planes, (rows + 3) * (columns + 2)): with a border of one cell, at the bottom of two. Beyond the
+        border of the picture it has no meaning.
 
     Gradient: exact, in both modes.
     """
-    bins, count, _ = grid.shape
-    along_bins = _times(_gaussian(bins, by_range), grid.reshape(bins, -1))
-    cells = along_bins.reshape(bins, count, -1, columns + 2)
-    return _blurred_in_space(cells, by_space, little_memory).reshape(bins, count, -1)
+    bins, count, length = grid.shape
+    rows = length // (columns + 2)
+    if cells is None:
+        # behind a barrier, or XLA would work out what hangs on constants with other functions
+        cells = Extent(*lax.optimization_barrier((jnp.int32(rows), jnp.int32(columns))))
+    sides = jnp.stack([jnp.int32(bins), *cells])
+    variances = jnp.stack([by_range, *[lax.stop_gradient(by_space)] * 2])
+    along, *lags = jax.vmap(partial(_periodic_gaussian, max(bins, rows, columns) + 1))(sides, variances)
+    apart = np.abs(np.arange(bins)[:, None] - np.arange(bins))
+    planes = _along_bins(along[apart], grid).reshape(bins, count, rows, columns + 2)
+    return _blurred_in_space(planes, by_space, lags, cells, little_memory).reshape(bins, count, -1)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _blurred_in_space(grid: jax.Array, variance: jax.Array, little_memory: bool) -> jax.Array:
+@jax.custom_jvp
+def _along_bins(weights: jax.Array, grid: jax.Array) -> jax.Array:
+    return _weighted(weights, grid, 0)
+
+
+@_along_bins.defjvp
+def _along_bins_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    # as products: here the order of the terms is free, and the weights are few
+    (weights, grid), (d_weights, d_grid) = primals, (t.reshape(len(t), -1) for t in tangents)
+    change = _times(d_weights, grid.reshape(len(grid), -1)) + _times(weights, d_grid)
+    return _along_bins(weights, grid), change.reshape(grid.shape)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(4,))
+def _blurred_in_space(
+    grid: jax.Array, variance: jax.Array, lags: list[jax.Array], cells: Extent, little_memory: bool
+) -> jax.Array:
     """(bins, planes, rows, columns + 2) to (bins, planes, rows + 3, columns + 2), the last two dropped."""
     bins, count, rows, width = grid.shape
-    down = jnp.pad(_mirrored_gaussian(rows, variance), ((1, 2), (0, 0)), "edge")
-    across = jnp.pad(_mirrored_gaussian(width - 2, variance).T, ((0, 0), (1, 1)), "edge")
-    across = jnp.pad(across, ((0, 2), (0, 0)))  # what the two columns more hold is dropped
-    filtered = _filtered
-    if little_memory:
-        filtered = partial(by_platform, cpu=_in_groups, default=_filtered)
+    reach = _reach(variance)
+    down, across = (_mirrored(*axis, reach) for axis in zip(lags, cells, (rows, width - 2)))
+    across = across[:, :width]
+    apart = _of_batch(reach + 1)
+
+    def filtered(kernels: Kernels, planes: jax.Array) -> jax.Array:
+        down, across, apart = kernels
+        # of whole vectors, as what is left of a row would be summed number by number
+        across = jnp.pad(across, ((0, 0), (0, width - across.shape[1] + -width % _LANES)))
+        wide = _weighted(down, store(_weighted(across, planes, 2, apart)), 1, apart)
+        return store(wide)[..., :width]
 
     def transposed(kernels: Kernels, cotangent: jax.Array) -> jax.Array:
-        # fast on a CPU only with the matrices stored transposed
-        return filtered(store((kernels[0].T, kernels[1].T)), cotangent)
+        down, across, apart = kernels
+        return filtered(store((down.T, across.T, apart)), cotangent)
 
-    kernels, planes = (down, across), grid.reshape(-1, rows, width)
-    return linear_call(filtered, transposed, kernels, planes).reshape(bins, count, -1, width)
+    run = filtered
+    if little_memory:
+        run = partial(by_platform, cpu=partial(_in_groups, filtered), default=filtered)
+    planes = grid.reshape(-1, rows, width)
+    return linear_call(run, transposed, (down, across, apart), planes).reshape(bins, count, -1, width)
 
 
 @_blurred_in_space.defjvp
 def _blurred_in_space_jvp(little_memory: bool, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
-    """The slope to the variance is half the Laplacian of the result, mirrored as its border is."""
-    (grid, variance), (d_grid, d_variance) = primals, tangents
-    y = _blurred_in_space(grid, variance, little_memory)
-    change = _blurred_in_space(d_grid, variance, little_memory)
-    inner = y[..., 1:-2, 1:-1]
-    vertical, horizontal = y[..., :-3, 1:-1] + y[..., 2:-1, 1:-1], y[..., 1:-2, :-2] + y[..., 1:-2, 2:]
-    slope = 0.5 * (vertical + horizontal) - 2 * inner
-    # stored first, or each part of the border would work it out
-    bordered = jnp.pad(store(slope), ((0, 0), (0, 0), (1, 2), (1, 1)), "edge")
-    return y, change + scaled(d_variance, store(bordered))
+    """The slope to the variance is half the Laplacian, of what is blurred as well as of the result."""
+    (grid, variance, lags, cells), (d_grid, d_variance, *_) = primals, tangents
+    change = d_grid + scaled(d_variance, store(_half_laplacian(grid, cells)))
+    blur = partial(_blurred_in_space, little_memory=little_memory)
+    return blur(grid, variance, lags, cells), blur(change, variance, lags, cells)
 
 
-def _filtered(kernels: Kernels, grid: jax.Array) -> jax.Array:
-    """`down @ plane @ across` for each of (planes, rows, columns)."""
-    down, across = kernels
-    turned = _times(grid.reshape(-1, grid.shape[2]), across).reshape(*grid.shape[:2], -1)
-
-    def by_plane(m: jax.Array, g: jax.Array) -> jax.Array:
-        # for a single product XLA transposes the grid, before and after
-        return _times(jnp.broadcast_to(m, (len(g), *m.shape)), g)
-
-    def summed(m: jax.Array, g: jax.Array) -> jax.Array:
-        # a product would store the matrix once for each plane
-        return fused_sum(m.T[:, :, None] * g[:, :, None], 1)
-
-    return by_platform(down, turned, cpu=by_plane, default=summed)
+def _half_laplacian(grid: jax.Array, cells: Extent) -> jax.Array:
+    """Of rows and columns, mirrored at the borders of the picture's cells; beyond them without a meaning."""
+    total = -2 * grid
+    for axis, n in zip((2, 3), cells):
+        wide = jnp.pad(grid, [(1, 1) if a == axis else (0, 0) for a in range(grid.ndim)])
+        before, after = (lax.slice_in_dim(wide, at, at + grid.shape[axis], axis=axis) for at in (0, 2))
+        place = lax.broadcasted_iota(jnp.int32, grid.shape, axis)
+        total += 0.5 * (jnp.where(place == 0, grid, before) + jnp.where(place == n - 1, grid, after))
+    return total
 
 
-def _in_groups(kernels: Kernels, grid: jax.Array) -> jax.Array:
-    """`_filtered`, some planes at a time, each where it was: in half of the memory."""
-    height, (count, rows, width) = kernels[0].shape[0], grid.shape
+def _in_groups(filtered: Filter, kernels: Kernels, grid: jax.Array) -> jax.Array:
+    """`filtered(kernels, grid)`, some planes at a time, each where it was: in half of the memory."""
+    height, (count, rows, width) = kernels[0].shape[1], grid.shape
     some = math.gcd(count, _AT_ONCE)
 
     def body(i: jax.Array, planes: jax.Array) -> jax.Array:
         own = lax.dynamic_slice(planes, (i * some, 0, 0), (some, rows, width))
-        return lax.dynamic_update_slice_in_dim(planes, _filtered(kernels, own), i * some, 0)
+        return lax.dynamic_update_slice_in_dim(planes, filtered(kernels, own), i * some, 0)
 
     room = jnp.pad(grid, ((0, 0), (0, max(height - rows, 0)), (0, 0)))
     return lax.fori_loop(0, count // some, body, room)[:, :height]
 
 
-def _mirrored_gaussian(n: int, variance: jax.Array) -> jax.Array:
-    """(n, n): the discrete Gaussian over n samples, mirrored at both ends (half-sample)."""
-    k = np.arange(n)
-    cosines = np.sqrt((2 - (k == 0)) / n)[:, None] * np.cos(np.pi / n * np.outer(k, k + 0.5))
-    decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    basis = jnp.asarray(cosines, variance.dtype)
-    return _times(basis.T * decay, basis)
+def _weighted(weights: jax.Array, x: jax.Array, axis: int, apart: jax.Array | None = None) -> jax.Array:
+    """`y[i] = sum_k weights[k, i] x[k]` along an axis, k after k.
+
+    Args:
+        weights: (x's size along the axis, n).
+        x: any shape.
+        axis: of x, and of the result.
+        apart: weights are 0 where |k - i| is more, the same for a whole batch; None: nowhere.
+    """
+    count, n = weights.shape
+    column = [-1 if a == axis else 1 for a in range(x.ndim)]
+
+    @jax.jit  # traced for one term, and called for the others
+    def term(total: jax.Array, weights: jax.Array, x: jax.Array, at: jax.Array) -> jax.Array:
+        own = lax.dynamic_index_in_dim(weights, at, keepdims=False).reshape(column)
+        return total + own * lax.dynamic_slice_in_dim(x, at, 1, axis)
+
+    def added(total: jax.Array, weights: jax.Array, first: jax.Array, terms: int) -> jax.Array:
+        for k in range(terms):
+            total = term(total, weights, x, first + np.uint32(k))  # unsigned, or it is tested for its sign
+        return total
+
+    # with a zero that XLA knows, the first product could be the one that is not rounded
+    zero = lax.optimization_barrier(alike(jnp.zeros((), x.dtype), (x, weights)))
+    zero = jnp.broadcast_to(zero, [n if a == axis else size for a, size in enumerate(x.shape)])
+    if count <= _UNROLLED:
+        return added(zero, weights, np.uint32(0), count)
+    # beyond the last term the weight is 0, and x is its last
+    weights, turns = jnp.pad(weights, ((0, -count % _TERMS), (0, 0))), -(-count // _TERMS)
+
+    def looped(total: jax.Array, weights: jax.Array, low: Any, high: Any) -> jax.Array:
+        def turn(i: jax.Array, total: jax.Array) -> jax.Array:
+            return added(total, weights, (on_all_cores(i) * _TERMS).astype(jnp.uint32), _TERMS)
+
+        return lax.fori_loop(low, high, turn, total)
+
+    if apart is None or n <= _WHOLE:
+        return looped(zero, weights, 0, turns)
+
+    def tile(t: jax.Array, y: jax.Array) -> jax.Array:
+        start = jnp.minimum(t * _TILE, n - _TILE)
+        low = jnp.maximum(start - apart, 0) // _TERMS
+        high = jnp.minimum((start + _TILE + apart) // _TERMS + 1, turns)
+        own = lax.dynamic_slice_in_dim(weights, start, _TILE, 1)
+        total = lax.slice_in_dim(zero, 0, _TILE, axis=axis)
+        return lax.dynamic_update_slice_in_dim(y, looped(total, own, low, high), start, axis)
+
+    return lax.fori_loop(0, -(-n // _TILE), tile, zero)
 
 
-def _gaussian(n: int, variance: jax.Array) -> jax.Array:
-    """(n, n): the discrete Gaussian over n samples of a longer row."""
-    k = np.arange(n + 1)
-    share = np.where(k % n == 0, 1, 2) / (2 * n)
-    lags = np.cos(np.pi / n * np.outer(k[:n], k)) * share
-    decay = jnp.exp(variance * jnp.asarray(np.cos(np.pi / n * k) - 1, variance.dtype))
-    # of sixteen rows that are the same, as XLA sums a product of few in another order; with the barrier it
-    # does not see that one would do
-    rows = jnp.broadcast_to(decay, (_ROWS, n + 1))
-    products = _times(rows, lax.optimization_barrier(jnp.asarray(lags, variance.dtype)).T)
-    return products[0][np.abs(k[:n, None] - k[:n])]
+def _mirrored(lags: jax.Array, n: jax.Array, size: int, reach: jax.Array) -> jax.Array:
+    """(size, size + 3): the weights of the first n cells, mirrored at both ends (half-sample), 0 beyond them.
+
+    In the cells from -1 to size + 1; the lags are those of a period of 2 n.
+    """
+    cells, to = np.arange(size)[:, None], np.arange(-1, size + 2)
+    apart, mirrored = np.abs(cells - to), lax.rem(np.int32(cells + to + 1), 2 * n)
+    both = (lags.at[i].get(mode="clip") for i in (apart, jnp.minimum(mirrored, 2 * n - mirrored)))
+    return jnp.where((cells < n) & (apart <= reach), sum(both), 0)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _periodic_gaussian(count: int, n: jax.Array, variance: jax.Array) -> jax.Array:
+    """The discrete Gaussian with a period of 2 n samples, n < count, at `count` lags and some more."""
+    k = lax.iota(jnp.int32, -(-count // _VECTOR) * _VECTOR)
+    half, period = n.astype(variance.dtype), jnp.full_like(k, 2 * n)
+    ends = jnp.where(k < n, jnp.where(k == 0, 0.5, 1.0), jnp.where(k == n, 0.5, 0.0)).astype(half.dtype)
+    # the exponent is cos(pi k / n) - 1, without what that would lose
+    decay = jnp.exp(-2 * variance * jnp.sin(k.astype(half.dtype) / half * (np.pi / 2)) ** 2)
+    shares = ends / half * decay
+
+    def add(i: jax.Array, total: jax.Array) -> jax.Array:
+        turn = lax.rem(i * k, period).astype(half.dtype) / half
+        return total + lax.dynamic_index_in_dim(shares, i, keepdims=False) * jnp.cos(turn * np.pi)
+
+    return lax.fori_loop(0, count, add, jnp.zeros_like(shares))
+
+
+@_periodic_gaussian.defjvp
+def _periodic_gaussian_jvp(count: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    """The slope to the variance is half the Laplacian."""
+    lags = _periodic_gaussian(count, *primals)
+    near = jnp.concatenate([lags[1:2], lags, lags[-1:]])
+    return lags, tangents[1] * (0.5 * (near[:-2] + near[2:]) - lags)
+
+
+def _reach(variance: jax.Array) -> jax.Array:
+    """The lag beyond which the discrete Gaussian is lost in the rounding of its dtype; int32."""
+    widths, least = (5.5, 4) if variance.dtype == jnp.float32 else (8.5, 12)
+    return jnp.ceil(widths * jnp.sqrt(variance) + least).astype(jnp.int32)
+
+
+@custom_vmap
+def _of_batch(most: jax.Array) -> jax.Array:
+    """The largest of a batch, as the bound of a loop has to be."""
+    return most
+
+
+@_of_batch.def_vmap
+def _of_batch_vmap(size: int, batched: list[bool], most: jax.Array) -> tuple[jax.Array, bool]:
+    return _of_batch(most.max()), False
