@@ -109,9 +109,9 @@ def bilateral(
     if extent is not None:
         room = max(radius, chroma_cell - 1 if chroma_cell else chroma_radius)
         image = jnp.pad(image, ((0, room), (0, room), (0, 0)))
-    # a sum over neighbours may come out otherwise where they are mirrored: what is beyond the picture is not
-    # what a pass before gave there
-    beyond = partial(mirrored, extent=extent) if extent is not None else lambda plane: plane
+    # where neighbours are mirrored their sum may come out otherwise: what is beyond the picture is not what
+    # the pass before gave there. A picture alone is stored at the same places, so that the same is rounded
+    beyond = partial(mirrored, extent=extent) if extent is not None else store
     y, cb, cr = map(beyond, rgb_to_ycbcr_planes(*planes(image)))
     widths = params.chroma_sigma_space, params.chroma_sigma_range
     for i in range(iterations):
