@@ -79,9 +79,10 @@ def register(
         block: rows of the blocks it works in, counted from the top: 2 for a Bayer mosaic's cells, 6 for those
             of X-Trans; or a function of the static options. A stage of larger blocks, as an encoder, runs in
             strips of its own.
-        symmetric: True where a mirror image comes out as the mirror image of the result, to the bit: no sum
-            in any pass but the first depends on its order. Pictures of many sizes then share a program, see
-            `Node.margin`; so they do where the reach is 0, and where the stage takes an `extent`.
+        symmetric: True where one pass alone looks beyond a pixel, or a mirror image comes out as the mirror
+            image of the result, to the bit: no sum in any pass but the first depends on its order. Pictures
+            of many sizes then share a program, see `Node.margin`; so they do where the reach is 0, and where
+            the stage takes an `extent`.
 
     Raises:
         TypeError: it is no stage function, or one that draws noise has a reach.

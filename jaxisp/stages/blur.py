@@ -69,7 +69,7 @@ class Defocus:
     disc_radius: Leaf = param(0.0, (0.0, 8.0), "px", doc="of the disc; 0 leaves the image as it is")
 
 
-@register
+@register(reach=lambda o: o["radius"], symmetric=True)
 def defocus(params: Defocus, image: LinearRGB, *, radius: Positive = 8) -> LinearRGB:
     """Blur with a disc, the image of a point that is out of focus.
 
@@ -125,7 +125,7 @@ class MotionBlur:
     boost: Leaf = param(0.0, (0.0, 100.0), "1", doc="share by which a highlight is really brighter")
 
 
-@register
+@register(reach=lambda o: o["radius"], symmetric=True)
 def motion_blur(params: MotionBlur, image: LinearRGB, *, radius: Positive = 12) -> LinearRGB:
     """Blur along the path that a point of light draws while the camera shakes.
 
@@ -168,7 +168,7 @@ class IsotropicBlur:
     sigma: Leaf = param(1.0, (0.0, 8.0), "px", doc="standard deviation; 0 leaves the image as it is")
 
 
-@register
+@register(reach=lambda o: o["radius"], symmetric=True)
 def isotropic_blur(params: IsotropicBlur, image: RGB, *, radius: Positive = 10) -> RGB:
     """Blur with a Gaussian in whatever encoding the image has: `optical_blur` is the one for light.
 
@@ -199,7 +199,7 @@ class AnisotropicBlur:
     angle: Leaf = param(0.0, (-180.0, 180.0), "deg", doc="of the axis: 0 to the right, 90 down")
 
 
-@register
+@register(reach=lambda o: o["radius"], symmetric=True)
 def anisotropic_blur(params: AnisotropicBlur, image: RGB, *, radius: Positive = 10) -> RGB:
     """Blur with a Gaussian that is wider in one direction.
 
