@@ -374,8 +374,10 @@ SENSOR = (
     [
         ((stage("gaussian_noise"), stage("rounding")), 0),
         ((AnyPhase(Chain(SENSOR[:3], "sensor")), Gate(stage("median")), SENSOR[3]), 2),
+        ((stage("bilateral", radius=1, chroma_cell=4, chroma_bins=3, iterations=2),), 0),
+        ((stage("bilateral", radius=1, chroma_radius=2, iterations=2),), 0),
     ],
-    ids=["noise", "sensor"],
+    ids=["noise", "sensor", "grid", "bilateral"],
 )
 def test_a_picture_comes_out_of_a_larger_frame_as_alone(nodes, margin):
     recipe = Recipe(Chain(nodes, "mine"), {"cfa_phase": CfaPhase(row=Bernoulli(0.5))} if margin else {})
@@ -389,11 +391,23 @@ def test_a_picture_comes_out_of_a_larger_frame_as_alone(nodes, margin):
         jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[0]), params, own)
 
 
+@pytest.mark.slow
+def test_phone_comes_out_of_a_larger_frame_as_alone():
+    """Smaller than a loop of the grid's sums, larger, and with an edge inside a cell."""
+    recipe = RECIPES["phone"]()
+    sizes = [(64, 80), (141, 83), (33, 190)]
+    pictures = [smooth_image((*size, 3), i).astype(np.float32) for i, size in enumerate(sizes)]
+    noisy, _, _ = in_frames(recipe, pictures, (160, 208))
+    for i, picture in enumerate(pictures):
+        alone, _, _ = recipe.degrade(jax.random.key(5), picture[None], i)
+        np.testing.assert_array_equal(noisy[i, : picture.shape[0], : picture.shape[1]], alone[0])
+
+
 def test_a_mixture_of_such_recipes_takes_frames_too():
     mixture = mix({"awgn": 0.5, "clean": 0.5})
     pictures = [smooth_image((9 + i, 14, 3), i).astype(np.float32) for i in range(3)]
     noisy = in_frames(mixture, pictures, (12, 14))[0]
-    assert mixture.margin == 0 and mix({"awgn": 0.5, "phone": 0.5}).margin is None
+    assert mixture.margin == 0 and mix({"awgn": 0.5, "bsrgan": 0.5}).margin is None
     for i, picture in enumerate(pictures):
         alone, _, _ = mixture.degrade(jax.random.key(5), picture[None], i)
         np.testing.assert_array_equal(noisy[i, : len(picture)], alone[0])
@@ -402,7 +416,7 @@ def test_a_mixture_of_such_recipes_takes_frames_too():
 @pytest.mark.parametrize(
     ("name", "sizes", "told"),
     [
-        ("phone", [[16, 20]], "what bilateral gives depends on the size of the image"),
+        ("bsrgan", [[16, 20]], "what order gives depends on the size of the image"),
         ("phone-kodak", [[15, 20]], "a side is the same or 2 px less, and at least 5"),
         ("phone-kodak", [[4, 20]], "at least 5"),
         ("phone-kodak", [[17, 20]], "17 x 20 px in an image of 16 x 20"),

@@ -26,9 +26,13 @@ from jaxisp.stages import STAGES
 from jaxisp.testing import smooth_image
 
 SMALL = {
+    "anisotropic_blur": {"radius": 3},
     "bilateral": {"radius": 2, "chroma_radius": 3},
+    "defocus": {"radius": 3},
     "demosaic_markesteijn": {"passes": 1},
     "demosaicking": {"algorithm": "bilinear", "partner": "dcb"},
+    "isotropic_blur": {"radius": 3},
+    "motion_blur": {"radius": 3},
     "unsharp_mask": {"radius": 3},
     "optical_blur": {"radius": 3},
     "median": {"footprint": "5x5", "iterations": 2},

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
 from jaxisp.recipes import BILATERAL, RECIPES
 from jaxisp.stages.denoise import grid
@@ -201,3 +202,38 @@ def test_planes_of_a_large_frame_go_one_by_one(monkeypatch):
 def test_unusable_grids_are_refused(option):
     with pytest.raises(ValueError, match="chroma_cell must be even"):
         bilateral(Bilateral(), jnp.zeros((8, 9, 3)), **option)
+
+
+@pytest.mark.parametrize(
+    "size, frame", [((21, 34), (30, 90)), ((70, 141), (75, 155)), ((17, 395), (26, 450))], ids=str
+)
+def test_a_larger_frame_gives_the_same_bits(size, frame, rng):
+    """Sums that are one kernel and such as are a loop, and the tiles of more than `_WHOLE` cells."""
+    pictures = rng.uniform(size=(3, *size)).astype(np.float32)
+    around = [(0, 0), *((0, f - s) for f, s in zip(frame, size))]
+    wide = np.pad(pictures, around, mode="reflect")
+    extent = Extent(*map(jnp.int32, size))
+    for width in (3.0, 11.0, 34.0):
+        alone = filtered(tuple(pictures[:2]), pictures[2], width, 0.1, 4, 4)
+        inside = filtered(tuple(wide[:2]), wide[2], width, 0.1, 4, 4, extent)
+        for a, b in zip(alone, inside):
+            np.testing.assert_array_equal(b[: size[0], : size[1]], a)
+
+
+def test_a_larger_frame_has_the_same_slopes(rng):
+    """To the widths: what is beyond the picture must not enter."""
+    size, frame = (14, 23), (20, 32)
+    pictures = rng.uniform(size=(3, *size)).astype(np.float32)
+    wide = np.pad(pictures, [(0, 0), *((0, f - s) for f, s in zip(frame, size))], mode="reflect")
+
+    @jax.jit
+    def slopes(pictures, extent):
+        def loss(widths):
+            planes = grid_planes(tuple(pictures[:2]), pictures[2], *widths, 4, 4, extent)
+            return sum((p[: size[0], : size[1]] ** 2).sum() for p in planes)
+
+        return jax.grad(loss)((8.0, 0.3))
+
+    alone, inside = slopes(pictures, None), slopes(wide, Extent(*map(jnp.int32, size)))
+    np.testing.assert_allclose(inside, alone, rtol=1e-4)
+    assert min(map(abs, alone)) > 1e-2
