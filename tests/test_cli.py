@@ -7,6 +7,7 @@ import sys
 import time
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
@@ -332,6 +333,22 @@ def test_standard_streams_that_are_closed_full_or_left(rest, status, told):
     words = f"{sys.executable} -m jaxisp recipes --json {rest}"
     done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
     assert done.returncode == status and told in done.stderr and done.stderr.count("\n") == bool(told)
+
+
+@pytest.mark.parametrize(
+    "taken, told",
+    [
+        (lambda: jax.block_until_ready(jnp.zeros((1 << 20, 1 << 20))), "Out of memory allocating"),
+        (lambda: np.empty(1 << 50, np.uint8), "Unable to allocate 1.00 PiB"),
+    ],
+    ids=["jax", "numpy"],
+)
+def test_memory_that_is_not_there_is_one_line_and_status_1(capsys, monkeypatch, taken, told):
+    command = argparse.ArgumentParser()
+    command.set_defaults(run=lambda _: taken())
+    monkeypatch.setattr("jaxisp.cli.parser", lambda: command)
+    status, out, err = run(capsys)
+    assert (status, out, err.count("\n")) == (1, "", 1) and f"not enough memory: {told}" in err
 
 
 def test_options_are_shown_where_they_do_something():

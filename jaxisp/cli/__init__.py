@@ -25,7 +25,7 @@ from jaxisp.cli import (
     train,
 )
 from jaxisp.cli.common import Parser, flush, warn
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, one_line
 from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
 from jaxisp.process.environment import check_environment, without_device
@@ -34,6 +34,7 @@ _MODULES = (
     demo, develop, fit, calibrate, recipe, degrade, train, adapt, denoise, evaluate, diagnose, compare, data,
     listings,
 )  # fmt: skip
+_NO_MEMORY = "RESOURCE_EXHAUSTED"  # as JAX tells it
 
 
 def parser() -> argparse.ArgumentParser:
@@ -81,7 +82,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         warn(f"{os.fsdecode(error.filename)}: cannot be used: {(error.strerror or str(error)).lower()}")
         return 2
-    except Exception:
+    except Exception as error:
+        if not signals.came() and (isinstance(error, MemoryError) or str(error).startswith(_NO_MEMORY)):
+            why = one_line(error).removeprefix(_NO_MEMORY).strip(": ")
+            warn(f"not enough memory: {why or 'Python has none left'}")
+            return 1
         if signals.came() or not (why := without_device()):
             raise
         warn(why)

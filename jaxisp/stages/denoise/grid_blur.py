@@ -53,8 +53,8 @@ def blurred(
         little_memory: True has a CPU take some planes at a time, each where it was.
 
     Returns:
-        (bins, planes, (rows + 3) * (columns + 2)): with a border of one cell, at the bottom of two. Beyond the
-        border of the picture it has no meaning.
+        (bins, planes, (rows + 3) * (columns + 2)): with a border of one cell, at the bottom of two. Beyond
+        the border of the picture it has no meaning.
 
     Gradient: exact, in both modes.
     """
@@ -163,7 +163,7 @@ def _weighted(weights: jax.Array, x: jax.Array, axis: int, apart: jax.Array | No
         own = lax.dynamic_index_in_dim(weights, at, keepdims=False).reshape(column)
         return total + own * lax.dynamic_slice_in_dim(x, at, 1, axis)
 
-    def added(total: jax.Array, weights: jax.Array, first: jax.Array, terms: int) -> jax.Array:
+    def added(total: jax.Array, weights: jax.Array, first: Any, terms: int) -> jax.Array:
         for k in range(terms):
             total = term(total, weights, x, first + np.uint32(k))  # unsigned, or it is tested for its sign
         return total
