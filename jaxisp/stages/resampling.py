@@ -8,11 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.barriers import materialize, store
+from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.linear import fused_sum
 from jaxisp.arrays.planes import interleaved, per_plane, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import safe_divide
 from jaxisp.arrays.shares import weighted
+from jaxisp.arrays.varying import alike
 from jaxisp.domains import RGB
 from jaxisp.options import one_of, positive
 from jaxisp.params import Leaf, param, parameters
@@ -34,6 +37,7 @@ def _keys(t: Any) -> Any:
 KERNELS = {"bilinear": _triangle, "bicubic": _keys}
 _SUPPORT = {"bilinear": 1, "bicubic": 2}  # of a kernel, to either side
 _BLOCK = 64  # rows of a block of a banded matrix
+_AT_ONCE = 17  # taps of a kernel
 _LARGEST = 4  # factor of `Resampling`
 METHODS = {"bilinear": "linear", "bicubic": "cubic", "lanczos3": "lanczos3"}
 
@@ -125,7 +129,7 @@ class _Way(NamedTuple):
         """The support of both together, at the largest factor [px]."""
         return (_SUPPORT[self.shrink] + _SUPPORT[self.enlarge]) * _LARGEST
 
-    def down(self, sample: jax.Array, pixel: jax.Array, factor: jax.Array, size: int) -> jax.Array:
+    def down(self, sample: jax.Array, pixel: jax.Array, factor: jax.Array, size: jax.Array) -> jax.Array:
         """The weight of a pixel in a sample, by where they stand [px] on an axis of `size`."""
         if self.antialias:
             return KERNELS[self.shrink]((sample - pixel) / factor)
@@ -144,6 +148,7 @@ def resampling(
     method: Kernel = "bilinear",
     back: KernelOrNone = "",
     antialias: bool = True,
+    extent: Extent | None = None,
 ) -> RGB:
     """Shrink by a factor and enlarge to the old size, as a digital zoom or a rescaled upload.
 
@@ -156,6 +161,7 @@ def resampling(
         method: "bilinear" or "bicubic" (Keys, a = -1/2), both ways.
         back: the method of the way back, where it is another.
         antialias: widen the kernel that shrinks.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         (H, W, 3) in the domain of the image; exactly the image at factor 1.
@@ -171,21 +177,75 @@ def resampling(
     for name in (way.shrink, way.enlarge):
         if name not in KERNELS:
             raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {name!r}")
-    factor = params.factor.astype(image.dtype)
+    if extent is None:  # behind a barrier, or XLA would work out what hangs on constants with other functions
+        extent = Extent(*lax.optimization_barrier(tuple(map(jnp.int32, image.shape[:2]))))
+    return _resampled(image, params.factor.astype(image.dtype), extent, way)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _resampled(image: jax.Array, factor: jax.Array, extent: Extent, way: _Way) -> jax.Array:
+    """Tap after tap: a picture has the same bits in a larger frame."""
+    across, down = (_taps(n, size, factor, way) for n, size in zip(image.shape[1::-1], extent[::-1]))
+    rows = _tapped(as_rows(image), jnp.repeat(across, 3, 1)[:, None], 1, 3)
+    return from_rows(_tapped(rows, down[:, :, None], 0, 1), image.shape)
+
+
+@_resampled.defjvp
+def _resampled_jvp(way: _Way, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    # by products: a tap at a time the slope to the factor would be as many sums over the image
+    fn = partial(_by_products, extent=primals[2], way=way)
+    return _resampled(*primals, way), jax.jvp(fn, primals[:2], tangents[:2])[1]
+
+
+def _tapped(x: jax.Array, taps: jax.Array, axis: int, step: int) -> jax.Array:
+    """`y[i] = sum_t taps[t, i] x[i + step * (t - (T - 1) / 2)]` along an axis of (H, W); T is odd."""
+    far = step * (len(taps) // 2)
+    padded = store(jnp.pad(x, [(far, far) if a == axis else (0, 0) for a in range(2)]))
+    # with a zero that XLA knows, the first product could be the one that is not rounded
+    total = jnp.broadcast_to(lax.optimization_barrier(alike(jnp.zeros((), x.dtype), (x, taps))), x.shape)
+    for t, tap in enumerate(store(taps)):
+        total += tap * lax.slice_in_dim(padded, t * step, t * step + x.shape[axis], axis=axis)
+        if t % _AT_ONCE == _AT_ONCE - 1:
+            total = store(total)
+    return total
+
+
+def _taps(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Array:
+    """(2 m + 1, count): row i of `_there_and_back` from column i - m on, m the margin."""
+    support, margin = _SUPPORT[way.enlarge], way.margin
+    i = jnp.arange(count, dtype=factor.dtype)
+    k = i + np.arange(-margin, margin + 1, dtype=factor.dtype)[:, None]
+    inside = ((k >= 0) & (k < size)).astype(factor.dtype)
+    at = (i + 0.5) / factor - 0.5
+    first = lax.stop_gradient(jnp.ceil(at - support))
+    total, norm = jnp.zeros_like(k), jnp.zeros_like(i)
+    for j in (first + s for s in range(2 * support)):
+        shrink = way.down((j + 0.5) * factor - 0.5, k, factor, size) * inside
+        exists = ((j >= 0) & (j * factor < size - 1e-3)).astype(factor.dtype)
+        enlarge = way.up(at - j) * exists
+        # the last sample may stand nearly a step outside, with weights of 5e-4; less is none that is used
+        total += enlarge * safe_divide(shrink, fused_sum(shrink, 0), 1e-5)
+        norm += enlarge
+    return safe_divide(total, norm)
+
+
+def _by_products(image: jax.Array, factor: jax.Array, extent: Extent, way: _Way) -> jax.Array:
+    """The same as products of matrices, banded ones for large images."""
+    sides = tuple(zip(image.shape[:2], extent))
     if min(image.shape[:2]) <= 2 * (_BLOCK + 2 * way.margin):
-        rows, columns = (_there_and_back(n, factor, way) for n in image.shape[:2])
+        rows, columns = (_there_and_back(*side, factor, way) for side in sides)
         return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
-    rows, columns = (_blocks(n, factor, way) for n in image.shape[:2])
+    rows, columns = (_blocks(*side, factor, way) for side in sides)
     turned = [materialize(_along_rows(p, rows)) for p in planes(image)]
     return interleaved([_along_rows(p, columns) for p in turned])
 
 
-def _there_and_back(size: int, factor: jax.Array, way: _Way) -> jax.Array:
-    """(size, size): U(f) D(f) of one axis. Sample j of the smaller one stands at (j + 1/2) f - 1/2."""
-    at = jnp.arange(size, dtype=factor.dtype)
+def _there_and_back(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Array:
+    """(count, count): U(f) D(f) of an axis of `size`. Sample j of the smaller one stands at (j + 1/2) f - 1/2."""
+    at = jnp.arange(count, dtype=factor.dtype)
     exists = at * factor < size - 1e-3
     centre = (at + 0.5) * factor - 0.5
-    shrink = way.down(centre[:, None], at[None], factor, size)
+    shrink = way.down(centre[:, None], at[None], factor, size) * (at < size)
     enlarge = way.up((at[:, None] + 0.5) / factor - 0.5 - at[None]) * exists[None].astype(factor.dtype)
     # a sample that does not exist keeps a weight sum of 1, so that nothing is divided by a tiny number
     shrink = jnp.where(exists[:, None], shrink, 0) / jnp.where(exists, shrink.sum(1), 1)[:, None]
@@ -193,13 +253,13 @@ def _there_and_back(size: int, factor: jax.Array, way: _Way) -> jax.Array:
     return jnp.matmul(enlarge, shrink, precision=lax.Precision.HIGHEST)
 
 
-def _blocks(size: int, factor: jax.Array, way: _Way) -> jax.Array:
+def _blocks(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Array:
     """(n, T, T + 2 m): the blocks of `_there_and_back` on its diagonal, with the m columns around each.
 
     The matrix is 0 further than m from the diagonal, which is the support of both kernels together.
     """
     support, margin = _SUPPORT[way.enlarge], way.margin
-    start = jnp.arange(0, size, _BLOCK, dtype=factor.dtype)[:, None]
+    start = jnp.arange(0, count, _BLOCK, dtype=factor.dtype)[:, None]
     i = start + jnp.arange(_BLOCK, dtype=factor.dtype)[None]
     k = start - margin + jnp.arange(_BLOCK + 2 * margin, dtype=factor.dtype)[None]
     first = lax.stop_gradient(jnp.ceil((start + 0.5) / factor - 0.5 - support))
