@@ -105,14 +105,15 @@ def bilateral(
             "bilateral: chroma_cell must be even and chroma_bins at least 2, "
             f"got {chroma_cell} and {chroma_bins}"
         )
-    height, width = image.shape[:2]
+    y, cb, cr = store(rgb_to_ycbcr_planes(*planes(image)))
+    beyond = store
     if extent is not None:
+        # anew before each pass: where neighbours are mirrored their sum may come out otherwise, and what is
+        # beyond the picture is not what the pass before gave there. A picture alone is stored at the same
+        # places, so that the same is rounded
+        beyond = partial(mirrored, extent=extent)
         room = max(radius, chroma_cell - 1 if chroma_cell else chroma_radius)
-        image = jnp.pad(image, ((0, room), (0, room), (0, 0)))
-    # where neighbours are mirrored their sum may come out otherwise: what is beyond the picture is not what
-    # the pass before gave there. A picture alone is stored at the same places, so that the same is rounded
-    beyond = partial(mirrored, extent=extent) if extent is not None else store
-    y, cb, cr = map(beyond, rgb_to_ycbcr_planes(*planes(image)))
+        y, cb, cr = (beyond(jnp.pad(plane, (0, room))) for plane in (y, cb, cr))
     widths = params.chroma_sigma_space, params.chroma_sigma_range
     for i in range(iterations):
         if i:
@@ -123,7 +124,8 @@ def bilateral(
             cb, cr = grid_planes((cb, cr), y, *widths, chroma_cell, chroma_bins, extent)
         else:
             cb, cr = bilateral_planes((cb, cr), y, *widths, chroma_radius)
-    return interleaved(tuple(p[:height, :width] for p in ycbcr_to_rgb_planes(y, cb, cr)))
+    height, width = image.shape[:2]
+    return interleaved(ycbcr_to_rgb_planes(*store([plane[:height, :width] for plane in (y, cb, cr)])))
 
 
 def _compressed(y: jax.Array, gamma: jax.Array) -> jax.Array:

@@ -27,6 +27,7 @@ Planes = tuple[jax.Array, ...]
 _LARGE = 1 << 18  # px: beyond, all planes at once need memory that a CPU gets anew at every call
 _MOST_TERMS = 32  # in one fused kernel
 _UNROLLED = 8  # terms of a sum along an axis: more become a loop, which is 5 times slower
+_TENT = 3**-0.5  # standard deviation of two tents [bins]
 _FINEST = 4.0  # bins to a sigma_range; more would not be more exact
 
 
@@ -69,9 +70,10 @@ def grid_planes(
     u, values = store((u, jnp.stack([jnp.ones_like(u), *v])))
     columns, large = -(-width // cell), height * width > _LARGE
     cells = extent and extent.over((cell, cell))
-    # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side
-    by_space = jnp.maximum((sigma_space / cell) ** 2 - 1 / 4, 0)
-    by_range = jnp.maximum((sigma_range / step) ** 2 - 1 / 3, 0)
+    # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side. Factors, since a square less a number
+    # is rounded once or twice, as XLA finds it in one image or in several
+    by_space = jnp.maximum(sigma_space / cell - 1 / 2, 0) * (sigma_space / cell + 1 / 2)
+    by_range = jnp.maximum(sigma_range / step - _TENT, 0) * (sigma_range / step + _TENT)
 
     def filtered(u: jax.Array, values: jax.Array) -> jax.Array:
         # stored as it is: with the shape that the blur wants it would be 8 times slower

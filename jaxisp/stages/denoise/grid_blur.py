@@ -246,4 +246,4 @@ def _of_batch(most: jax.Array) -> jax.Array:
 
 @_of_batch.def_vmap
 def _of_batch_vmap(size: int, batched: list[bool], most: jax.Array) -> tuple[jax.Array, bool]:
-    return _of_batch(most.max()), False
+    return _of_batch(most.max(initial=0)), False
