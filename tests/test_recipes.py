@@ -407,7 +407,7 @@ def test_a_mixture_of_such_recipes_takes_frames_too():
     mixture = mix({"awgn": 0.5, "clean": 0.5})
     pictures = [smooth_image((9 + i, 14, 3), i).astype(np.float32) for i in range(3)]
     noisy = in_frames(mixture, pictures, (12, 14))[0]
-    assert mixture.margin == 0 and mix({"awgn": 0.5, "bsrgan": 0.5}).margin is None
+    assert mixture.margin == 0 and mix({"awgn": 0.5, "any-camera": 0.5}).margin is None
     for i, picture in enumerate(pictures):
         alone, _, _ = mixture.degrade(jax.random.key(5), picture[None], i)
         np.testing.assert_array_equal(noisy[i, : len(picture)], alone[0])
@@ -416,7 +416,7 @@ def test_a_mixture_of_such_recipes_takes_frames_too():
 @pytest.mark.parametrize(
     ("name", "sizes", "told"),
     [
-        ("bsrgan", [[16, 20]], "what order gives depends on the size of the image"),
+        ("any-camera", [[16, 20]], "what use_camera gives depends on the size of the image"),
         ("phone-kodak", [[15, 20]], "a side is the same or 2 px less, and at least 5"),
         ("phone-kodak", [[4, 20]], "at least 5"),
         ("phone-kodak", [[17, 20]], "17 x 20 px in an image of 16 x 20"),

@@ -42,6 +42,7 @@ _LARGEST = 4  # factor of `Resampling`
 METHODS = {"bilinear": "linear", "bicubic": "cubic", "lanczos3": "lanczos3"}
 
 
+Sides = tuple[jax.Array, ...]  # rows and columns of the picture, as floats
 Factor = Annotated[float, positive]
 Method = Annotated[str, one_of("nearest", "area", *METHODS)]
 Kernel = Annotated[str, one_of(*KERNELS)]
@@ -177,15 +178,16 @@ def resampling(
     for name in (way.shrink, way.enlarge):
         if name not in KERNELS:
             raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {name!r}")
-    if extent is None:  # behind a barrier, or XLA would work out what hangs on constants with other functions
-        extent = Extent(*lax.optimization_barrier(tuple(map(jnp.int32, image.shape[:2]))))
-    return _resampled(image, params.factor.astype(image.dtype), extent, way)
+    # constants behind a barrier, or XLA would work out what hangs on them with other functions
+    sizes = lax.optimization_barrier(tuple(map(jnp.int32, image.shape[:2]))) if extent is None else extent
+    sides = tuple(n.astype(image.dtype) for n in sizes)
+    return _resampled(image, params.factor.astype(image.dtype), sides, way)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
-def _resampled(image: jax.Array, factor: jax.Array, extent: Extent, way: _Way) -> jax.Array:
+def _resampled(image: jax.Array, factor: jax.Array, sides: Sides, way: _Way) -> jax.Array:
     """Tap after tap: a picture has the same bits in a larger frame."""
-    across, down = (_taps(n, size, factor, way) for n, size in zip(image.shape[1::-1], extent[::-1]))
+    across, down = (_taps(n, size, factor, way) for n, size in zip(image.shape[1::-1], sides[::-1]))
     rows = _tapped(as_rows(image), jnp.repeat(across, 3, 1)[:, None], 1, 3)
     return from_rows(_tapped(rows, down[:, :, None], 0, 1), image.shape)
 
@@ -193,7 +195,7 @@ def _resampled(image: jax.Array, factor: jax.Array, extent: Extent, way: _Way) -
 @_resampled.defjvp
 def _resampled_jvp(way: _Way, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     # by products: a tap at a time the slope to the factor would be as many sums over the image
-    fn = partial(_by_products, extent=primals[2], way=way)
+    fn = partial(_by_products, sides=primals[2], way=way)
     return _resampled(*primals, way), jax.jvp(fn, primals[:2], tangents[:2])[1]
 
 
@@ -213,7 +215,7 @@ def _tapped(x: jax.Array, taps: jax.Array, axis: int, step: int) -> jax.Array:
 def _taps(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Array:
     """(2 m + 1, count): row i of `_there_and_back` from column i - m on, m the margin."""
     support, margin = _SUPPORT[way.enlarge], way.margin
-    i = jnp.arange(count, dtype=factor.dtype)
+    i = jnp.arange(count, dtype=factor.dtype)[None]
     k = i + np.arange(-margin, margin + 1, dtype=factor.dtype)[:, None]
     inside = ((k >= 0) & (k < size)).astype(factor.dtype)
     at = (i + 0.5) / factor - 0.5
@@ -224,28 +226,28 @@ def _taps(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Arra
         exists = ((j >= 0) & (j * factor < size - 1e-3)).astype(factor.dtype)
         enlarge = way.up(at - j) * exists
         # the last sample may stand nearly a step outside, with weights of 5e-4; less is none that is used
-        total += enlarge * safe_divide(shrink, fused_sum(shrink, 0), 1e-5)
+        total += enlarge * safe_divide(shrink, fused_sum(shrink, 0)[None], 1e-5)
         norm += enlarge
     return safe_divide(total, norm)
 
 
-def _by_products(image: jax.Array, factor: jax.Array, extent: Extent, way: _Way) -> jax.Array:
+def _by_products(image: jax.Array, factor: jax.Array, sides: Sides, way: _Way) -> jax.Array:
     """The same as products of matrices, banded ones for large images."""
-    sides = tuple(zip(image.shape[:2], extent))
+    axes = tuple(zip(image.shape[:2], sides))
     if min(image.shape[:2]) <= 2 * (_BLOCK + 2 * way.margin):
-        rows, columns = (_there_and_back(*side, factor, way) for side in sides)
+        rows, columns = (_there_and_back(*axis, factor, way) for axis in axes)
         return per_plane(lambda p: _on_both_axes(p, rows, columns), image)
-    rows, columns = (_blocks(*side, factor, way) for side in sides)
+    rows, columns = (_blocks(*axis, factor, way) for axis in axes)
     turned = [materialize(_along_rows(p, rows)) for p in planes(image)]
     return interleaved([_along_rows(p, columns) for p in turned])
 
 
 def _there_and_back(count: int, size: jax.Array, factor: jax.Array, way: _Way) -> jax.Array:
-    """(count, count): U(f) D(f) of an axis of `size`. Sample j of the smaller one stands at (j + 1/2) f - 1/2."""
+    """(count, count): U(f) D(f) of an axis of `size`. Sample j of the smaller stands at (j + 1/2) f - 1/2."""
     at = jnp.arange(count, dtype=factor.dtype)
     exists = at * factor < size - 1e-3
     centre = (at + 0.5) * factor - 0.5
-    shrink = way.down(centre[:, None], at[None], factor, size) * (at < size)
+    shrink = way.down(centre[:, None], at[None], factor, size) * (at < size)[None].astype(factor.dtype)
     enlarge = way.up((at[:, None] + 0.5) / factor - 0.5 - at[None]) * exists[None].astype(factor.dtype)
     # a sample that does not exist keeps a weight sum of 1, so that nothing is divided by a tiny number
     shrink = jnp.where(exists[:, None], shrink, 0) / jnp.where(exists, shrink.sum(1), 1)[:, None]

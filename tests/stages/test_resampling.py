@@ -101,7 +101,7 @@ def test_resampling_of_a_large_image_is_banded_and_the_same(method):
     weights = np.random.default_rng(0).standard_normal(image.shape).astype(np.float32)
 
     def whole(factor, x):
-        rows, columns = (_there_and_back(n, factor, _Way(method, method, True)) for n in x.shape[:2])
+        rows, columns = (_there_and_back(n, n, factor, _Way(method, method, True)) for n in x.shape[:2])
         return jnp.einsum("ab,bcd,ec->aed", rows, x, columns, precision="highest")
 
     def blocks(factor, x):

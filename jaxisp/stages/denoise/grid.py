@@ -70,8 +70,8 @@ def grid_planes(
     u, values = store((u, jnp.stack([jnp.ones_like(u), *v])))
     columns, large = -(-width // cell), height * width > _LARGE
     cells = extent and extent.over((cell, cell))
-    # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side. Factors, since a square less a number
-    # is rounded once or twice, as XLA finds it in one image or in several
+    # in cells and bins; a box has 1/12 and a tent 1/6 of a squared side. As factors: a square less a number
+    # would be rounded once or twice, in one image as in several or not
     by_space = jnp.maximum(sigma_space / cell - 1 / 2, 0) * (sigma_space / cell + 1 / 2)
     by_range = jnp.maximum(sigma_range / step - _TENT, 0) * (sigma_range / step + _TENT)
 
