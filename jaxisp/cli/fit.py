@@ -99,7 +99,6 @@ def run(arguments: Namespace) -> int:
     import jax
 
     from jaxisp.fit.journal import beside, in_the_way
-    from jaxisp.fit.report import write_report
 
     join(arguments)
     journal = beside(arguments.out)
@@ -113,6 +112,8 @@ def run(arguments: Namespace) -> int:
         if arguments.recipe:
             _recipe(result.camera, arguments).save(arguments.recipe)
         if arguments.report:
+            from jaxisp.fit.report import write_report  # draws: slow to import
+
             write_report(result, arguments.report)
     if not blocked:
         journal.unlink(missing_ok=True)
