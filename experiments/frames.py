@@ -30,7 +30,7 @@ SIZES = (
 
 
 def products() -> None:
-    """As in the blur of the bilateral grid: of 20 bins of 3 planes along the rows, of one plane."""
+    """As the blur of the bilateral grid was: of 20 bins of 3 planes along the rows, of one plane."""
     rng = np.random.default_rng(0)
     times = jax.jit(partial(jnp.matmul, precision=lax.Precision.HIGHEST))
     for n, larger in SIZES:

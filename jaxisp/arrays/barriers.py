@@ -1,5 +1,6 @@
 """Barriers: where a backend stores what it would otherwise compute anew."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxisp.arrays.platforms import by_platform
+from jaxisp.arrays.varying import alike
 
 
 def materialize(x: Any) -> Any:
@@ -45,6 +47,16 @@ def _barrier(tree: Any) -> Any:
 def barrier_on_cpu(tree: Any) -> Any:
     """Keep a CPU's compiler from moving what comes before into what comes after; it may fuse them yet."""
     return by_platform(tree, cpu=_barrier, default=lambda v: v)
+
+
+def unknown_zeros(shape: Sequence[int], *others: jax.Array) -> jax.Array:
+    """Zeros in the dtype of the first of `others` that XLA does not know: a sum of products begins with them.
+
+    XLA leaves out a zero that it knows, and then either of the first two products may be the one that is not
+    rounded, as the size of the array has it.
+    """
+    zero = jnp.zeros((), others[0].dtype)
+    return jnp.broadcast_to(lax.optimization_barrier(alike(zero, others)), shape)
 
 
 def on_all_cores(index: jax.Array) -> jax.Array:

@@ -30,6 +30,12 @@ class Extent(NamedTuple):
         return Extent(*(-(-n // s) for n, s in zip(self, step)))
 
 
+def whole(frame: Size) -> Extent:
+    """Of a picture that fills its frame, behind a barrier: what hangs on constants XLA works out itself, with
+    other functions than a program has."""
+    return Extent(*lax.optimization_barrier(tuple(map(jnp.int32, frame))))
+
+
 def has_room(size: Size, frame: Size, margin: int) -> bool:
     """Whether a picture comes out of a frame as it would alone, by the margin of what it goes through."""
     return min(size) >= LEAST and all(f == s or f >= s + margin for s, f in zip(size, frame))

@@ -83,11 +83,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         warn(f"{os.fsdecode(error.filename)}: cannot be used: {(error.strerror or str(error)).lower()}")
         return 2
     except Exception as error:
-        if not signals.came() and (isinstance(error, MemoryError) or str(error).startswith(_NO_MEMORY)):
+        if signals.came():
+            raise
+        if isinstance(error, MemoryError) or str(error).startswith(_NO_MEMORY):
             why = one_line(error).removeprefix(_NO_MEMORY).strip(": ")
             warn(f"not enough memory: {why or 'Python has none left'}")
             return 1
-        if signals.came() or not (why := without_device()):
+        if not (why := without_device()):
             raise
         warn(why)
         return 2

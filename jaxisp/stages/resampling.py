@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxisp.arrays.barriers import materialize, store
-from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.barriers import materialize, store, unknown_zeros
+from jaxisp.arrays.extents import Extent, whole
 from jaxisp.arrays.linear import fused_sum
 from jaxisp.arrays.planes import interleaved, per_plane, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import safe_divide
 from jaxisp.arrays.shares import weighted
-from jaxisp.arrays.varying import alike
 from jaxisp.domains import RGB
 from jaxisp.options import one_of, positive
 from jaxisp.params import Leaf, param, parameters
@@ -178,9 +177,7 @@ def resampling(
     for name in (way.shrink, way.enlarge):
         if name not in KERNELS:
             raise ValueError(f"resampling: method must be one of {', '.join(KERNELS)}, got {name!r}")
-    # constants behind a barrier, or XLA would work out what hangs on them with other functions
-    sizes = lax.optimization_barrier(tuple(map(jnp.int32, image.shape[:2]))) if extent is None else extent
-    sides = tuple(n.astype(image.dtype) for n in sizes)
+    sides = tuple(n.astype(image.dtype) for n in extent or whole((image.shape[0], image.shape[1])))
     return _resampled(image, params.factor.astype(image.dtype), sides, way)
 
 
@@ -203,8 +200,7 @@ def _tapped(x: jax.Array, taps: jax.Array, axis: int, step: int) -> jax.Array:
     """`y[i] = sum_t taps[t, i] x[i + step * (t - (T - 1) / 2)]` along an axis of (H, W); T is odd."""
     far = step * (len(taps) // 2)
     padded = store(jnp.pad(x, [(far, far) if a == axis else (0, 0) for a in range(2)]))
-    # with a zero that XLA knows, the first product could be the one that is not rounded
-    total = jnp.broadcast_to(lax.optimization_barrier(alike(jnp.zeros((), x.dtype), (x, taps))), x.shape)
+    total = unknown_zeros(x.shape, x, taps)
     for t, tap in enumerate(store(taps)):
         total += tap * lax.slice_in_dim(padded, t * step, t * step + x.shape[axis], axis=axis)
         if t % _AT_ONCE == _AT_ONCE - 1:

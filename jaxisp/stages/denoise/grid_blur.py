@@ -15,11 +15,10 @@ import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
 
-from jaxisp.arrays.barriers import on_all_cores, store
-from jaxisp.arrays.extents import Extent
+from jaxisp.arrays.barriers import on_all_cores, store, unknown_zeros
+from jaxisp.arrays.extents import Extent, whole
 from jaxisp.arrays.linear import linear_call, scaled
 from jaxisp.arrays.platforms import by_platform
-from jaxisp.arrays.varying import alike
 
 Kernels = tuple[jax.Array, jax.Array, jax.Array]  # along rows, along columns, and how far they reach
 Filter = Callable[[Kernels, jax.Array], jax.Array]
@@ -60,9 +59,7 @@ def blurred(
     """
     bins, count, length = grid.shape
     rows = length // (columns + 2)
-    if cells is None:
-        # behind a barrier, or XLA would work out what hangs on constants with other functions
-        cells = Extent(*lax.optimization_barrier((jnp.int32(rows), jnp.int32(columns))))
+    cells = cells or whole((rows, columns))
     sides = jnp.stack([jnp.int32(bins), *cells])
     variances = jnp.stack([by_range, *[lax.stop_gradient(by_space)] * 2])
     along, *lags = jax.vmap(partial(_periodic_gaussian, max(bins, rows, columns) + 1))(sides, variances)
@@ -168,9 +165,7 @@ def _weighted(weights: jax.Array, x: jax.Array, axis: int, apart: jax.Array | No
             total = term(total, weights, x, first + np.uint32(k))  # unsigned, or it is tested for its sign
         return total
 
-    # with a zero that XLA knows, the first product could be the one that is not rounded
-    zero = lax.optimization_barrier(alike(jnp.zeros((), x.dtype), (x, weights)))
-    zero = jnp.broadcast_to(zero, [n if a == axis else size for a, size in enumerate(x.shape)])
+    zero = unknown_zeros([n if a == axis else size for a, size in enumerate(x.shape)], x, weights)
     if count <= _UNROLLED:
         return added(zero, weights, np.uint32(0), count)
     # beyond the last term the weight is 0, and x is its last
