@@ -21,7 +21,7 @@ from jaxisp.fit.dataset import _Lazy
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.model import Design, demosaicker_of
 from jaxisp.fit.problem import Given, Problem
-from jaxisp.fit.program import _renders, _robust, _Steps
+from jaxisp.fit.program import _robust, _Steps, rendered
 from jaxisp.fit.search import Options, Search
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State
@@ -53,16 +53,12 @@ def fit_of(folder: str, camera: Recipe) -> tuple[Fit, State]:
 def residual(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> jax.Array:
     """(N,) of the four tiles, before the encoder."""
     steps = _Steps(problem, given, chunk)
-    denoised = steps.denoise(vector, steps.warp(vector))
-    return steps.finish(vector, denoised, jnp.ones((), vector.dtype))[0]
+    at = steps.at(vector)
+    return steps.finish(at, steps.denoise(at, steps.warp(at)), jnp.ones((), vector.dtype)).residual
 
 
 def forward_differences(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> jax.Array:
-    steps = problem.steps
-    vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
-    wanted = jnp.concatenate([jnp.ones(1, bool), given.moving])
-    rows = _renders(problem, given, vectors, wanted, chunk).residuals
-    return (rows[1:] - rows[0]) * (given.moving / steps)[:, None]
+    return rendered(problem, given, vector, chunk).jacobian
 
 
 def jacfwd(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> jax.Array:
@@ -74,13 +70,15 @@ def jacfwd_shared(problem: Problem, given: Given, vector: jax.Array, chunk: Chun
     early = np.asarray(problem.before[1])
     late = np.setdiff1d(np.arange(len(vector)), early)
     steps = _Steps(problem, given, chunk)
-    denoised = steps.denoise(vector, steps.warp(vector))
+    here = steps.at(vector)
+    denoised = steps.denoise(here, steps.warp(here))
 
     def through_all(part: jax.Array) -> jax.Array:
         return residual(problem, given, vector.at[early].set(part), chunk)
 
     def from_there(part: jax.Array) -> jax.Array:
-        return steps.finish(vector.at[late].set(part), denoised, jnp.ones((), vector.dtype))[0]
+        at = steps.at(vector.at[late].set(part))
+        return steps.finish(at, denoised, jnp.ones((), vector.dtype)).residual
 
     rows = [jax.jacfwd(f)(vector[which]).T for f, which in ((through_all, early), (from_there, late))]
     return jnp.concatenate(rows)[np.argsort(np.concatenate([early, late]))]

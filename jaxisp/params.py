@@ -157,30 +157,52 @@ def to_unbounded(tree: Tree, margin: float = 1e-4) -> Tree:
     """
 
     def forward(spec: Spec, value: Any) -> jax.Array:
-        low, high, value = _scaled(spec, jnp.asarray(value))
-        share = jnp.clip((value - low) / (high - low), margin, 1 - margin)
-        return jnp.log(share) - jnp.log1p(-share)
+        return unbounded(value, *spec.bounds, spec.scale == "log", margin)
 
     return map_specs(forward, tree)
+
+
+def unbounded(value: Any, low: Any, high: Any, log: Any, margin: float = 1e-4) -> jax.Array:
+    """Numbers between bounds as those on the real line, elementwise: the inverse of `bounded`."""
+    first, last = _ends(low, high, log)
+    value = jnp.asarray(value)
+    if np.any(log):
+        powers = jnp.log(jnp.clip(value, low, high))
+        value = powers if np.all(log) else jnp.where(log, powers, value)
+    share = jnp.clip((value - first) / (last - first), margin, 1 - margin)
+    return jnp.log(share) - jnp.log1p(-share)
 
 
 def to_bounded(tree: Tree) -> Tree:
     """The inverse of `to_unbounded`."""
 
-    def inverse(spec: Spec, value: Any) -> jax.Array:
-        low, high, _ = _scaled(spec, jnp.ones(()))
-        scaled = low + (high - low) * jax.nn.sigmoid(value)
-        # the last bit of exp or of the sum may step over a bound
-        return jnp.clip(jnp.exp(scaled) if spec.scale == "log" else scaled, *spec.bounds)
-
-    return map_specs(inverse, tree)
+    return map_specs(lambda spec, value: bounded(value, *spec.bounds, spec.scale == "log"), tree)
 
 
-def _scaled(spec: Spec, value: jax.Array) -> tuple[Any, Any, jax.Array]:
-    low, high = spec.bounds
-    if spec.scale == "log":
-        return np.log(low), np.log(high), jnp.log(jnp.clip(value, low, high))
-    return low, high, value
+def bounded(value: Any, low: Any, high: Any, log: Any) -> jax.Array:
+    """Numbers on the real line as those between bounds, elementwise: what `to_bounded` does with each.
+
+    Args:
+        value: finite.
+        low, high: numbers, or arrays of its shape.
+        log: whether the scale is logarithmic; a bool, or an array of them.
+    """
+    first, last = _ends(low, high, log)
+    scaled = first + (last - first) * jax.nn.sigmoid(value)
+    if np.any(log):
+        # else a number that is not on that scale could be infinite, and its gradient none
+        powers = jnp.exp(scaled if np.all(log) else jnp.where(log, scaled, 0))
+        scaled = powers if np.all(log) else jnp.where(log, powers, scaled)
+    # the last bit of exp or of the sum may step over a bound
+    return jnp.clip(scaled, low, high)
+
+
+def _ends(low: Any, high: Any, log: Any) -> tuple[Any, Any]:
+    """The bounds on the scale of the numbers."""
+    if np.ndim(log) == 0:
+        return (np.log(low), np.log(high)) if log else (low, high)
+    first, last = (np.where(log, np.log(np.where(log, end, 1.0)), end) for end in (low, high))
+    return first, last
 
 
 def batch_axes(tree: Tree) -> Tree:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from jaxisp.arrays.barriers import materialize
 from jaxisp.arrays.planes import planes
@@ -67,97 +68,149 @@ def _front(place: str, median: Any, params: Params, warped: jax.Array, radius2: 
     return after(params, materialize(image))
 
 
-def _each(render: Callable[..., Any], nothing: Any, wanted: jax.Array, *rows: Any) -> Any:
-    """`render` of each row that is wanted, `nothing` of the others."""
+class At(NamedTuple):
+    """A place: bounded parameters, and how far the geometry is from the alignment's, in `UNITS`."""
 
-    def one(row: Any) -> Any:
-        return jax.lax.cond(row[0], lambda: render(*row[1:]), lambda: nothing)
-
-    return jax.lax.map(one, (wanted, *rows))
-
-
-class Rendered(NamedTuple):
-    """Row 0 and one row a column: (K, N) residuals, (K, m) sums for the noise statistics, and the picture
-    that the encoder gets, (T, TILE, TILE, 3): row 0 with chroma as it was before sampling."""
-
-    residuals: jax.Array
-    sums: jax.Array
-    image: jax.Array
+    params: Params
+    moved: jax.Array
 
 
 class _Steps(NamedTuple):
-    """What one row of `vectors` (camera, image, geometry) does to the tiles of a chunk."""
+    """What a place does to the tiles of a chunk."""
 
     problem: Problem
     given: Given
     chunk: Chunk
 
-    def params(self, vector: jax.Array) -> Params:
+    def at(self, vector: jax.Array) -> At:
+        """The place of a vector: camera, image, geometry."""
         layout = self.problem.layout
-        camera, image, _ = jnp.split(vector, np.cumsum([layout.size(CAMERA), layout.size(IMAGE)]))
-        return layout.params(self.given.fixed, camera, image)
+        camera, image, moved = jnp.split(vector, np.cumsum([layout.size(CAMERA), layout.size(IMAGE)]))
+        return At(layout.params(self.given.fixed, camera, image), moved)
 
-    def lines(self, vector: jax.Array, at: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
-        moved = vector[-len(UNITS) :] * jnp.asarray(UNITS)
-        return _places(at, self.given.geometry + moved, optics, self.chunk.corner)
+    def lines(self, at: At, place: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
+        geometry = self.given.geometry + at.moved * jnp.asarray(UNITS)
+        return _places(place, geometry, optics, self.chunk.corner)
 
-    def warp(self, vector: jax.Array) -> jax.Array:
-        optics, corner, bends = lens.Lens.of(self.params(vector)), self.chunk.corner, self.given.bends
+    def warp(self, at: At) -> jax.Array:
+        optics, corner, bends = lens.Lens.of(at.params), self.chunk.corner, self.given.bends
 
-        def tile(source: jax.Array, at: jax.Array) -> jax.Array:
-            return _warped(source, at, self.lines(vector, at, optics)[0], optics, corner, bends)
+        def tile(source: jax.Array, place: jax.Array) -> jax.Array:
+            return _warped(source, place, self.lines(at, place, optics)[0], optics, corner, bends)
 
         return jax.vmap(tile)(self.chunk.source, self.chunk.place)
 
-    def denoise(self, vector: jax.Array, warped: jax.Array) -> jax.Array:
+    def denoise(self, at: At, warped: jax.Array) -> jax.Array:
         """What is seen afterwards of the tiles."""
-        values = self.params(vector)
 
-        def tile(image: jax.Array, at: jax.Array) -> jax.Array:
-            radius2 = self.lines(vector, at, lens.Lens.of(values))[1]
-            return _front(self.problem.place, self.given.median, values, image, radius2)
+        def tile(image: jax.Array, place: jax.Array) -> jax.Array:
+            radius2 = self.lines(at, place, lens.Lens.of(at.params))[1]
+            return _front(self.problem.place, self.given.median, at.params, image, radius2)
 
         seen = slice(HALO - AFTER, AFTER - HALO)
         return jax.vmap(tile)(warped, self.chunk.place)[:, seen, seen]
 
-    def finish(self, vector: jax.Array, denoised: jax.Array, sampled: jax.Array) -> tuple[jax.Array, ...]:
-        values = self.params(vector)
-        shares = jax.tree.map(lambda share: share * sampled, values[model.SAMPLING])
+    def finish(self, at: At, denoised: jax.Array, sampled: Any) -> "Seen":
+        shares = jax.tree.map(lambda share: share * sampled, at.params[model.SAMPLING])
         tail = model.back(self.problem.place, self.problem.inserted)
-        images = jax.vmap(lambda image: tail({**values, model.SAMPLING: shares}, image))(denoised)
+        images = jax.vmap(lambda image: tail({**at.params, model.SAMPLING: shares}, image))(denoised)
         images = materialize(jnp.clip(images[:, AFTER:-AFTER, AFTER:-AFTER], 0, 1))  # as every file is
-        return _residual(images, self.chunk).ravel(), _sums(images, self.chunk), images
+        return Seen(_residual(images, self.chunk).ravel(), _sums(images, self.chunk), images)
 
 
-def _renders(problem: Problem, given: Given, vectors: jax.Array, wanted: jax.Array, chunk: Chunk) -> Rendered:
-    """The tiles rendered with each row of `vectors`, row 0 and one a column.
+class Seen(NamedTuple):
+    """Of tiles: (N,) residuals, (m,) sums for the noise statistics, and (T, TILE, TILE, 3) the picture."""
 
-    Each step is done again only for the columns that change it, the others share that of row 0; rows that
-    are not `wanted` are left out (zeros).
+    residual: jax.Array
+    sums: jax.Array
+    image: jax.Array
+
+
+class Rendered(NamedTuple):
+    """The tiles at a place, their picture as the encoder gets it, which is with chroma as it was before
+    sampling, and (columns, N) and (columns, m) the slopes of residuals and sums, 0 where nothing moves."""
+
+    seen: Seen
+    jacobian: jax.Array
+    slopes: jax.Array
+
+
+class _Turn(NamedTuple):
+    """A loop over places: which is next, and what was found. Of `warped` and `denoised` there are two each, that
+    of row 0 and that of a row of its own."""
+
+    row: jax.Array
+    warped: jax.Array
+    denoised: jax.Array
+    found: Rendered
+
+
+def rendered(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) -> Rendered:
+    """The tiles at `vector` and, for each column that moves, a step beside it.
+
+    Row 0 is `vector`, row 1 + i a step along column i. Each step of the pipeline is done again only for the
+    rows that change it, the others share that of row 0. Rows of columns that do not move are not visited.
+    For the encoder row -1 is row 0 without sampling.
     """
-    steps, count = _Steps(problem, given, chunk), len(vectors)
-    warps, denoises = (np.asarray([0, *(1 + i for i in columns)]) for columns in problem.before)
-    warped = _each(steps.warp, jnp.zeros((TILES, SIDE, SIDE, 3)), wanted[warps], vectors[warps])
-    sources, side = _standing(warps, count)[denoises], TILE + 2 * AFTER
-    denoised = _each(
-        lambda vector, source: steps.denoise(vector, warped[source]),
-        jnp.zeros((TILES, side, side, 3)), wanted[denoises], vectors[denoises], sources,
-    )  # fmt: skip
-    nothing = jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)
+    steps, size = _Steps(problem, given, chunk), problem.steps
+    vectors = jnp.concatenate([vector[None], vector + jnp.diag(size)])
+    unflat = ravel_pytree(steps.at(vector))[1]
+    places = materialize(jax.vmap(lambda v: ravel_pytree(steps.at(v))[0])(vectors))
+    count, first = len(size), -given.encodes.astype(jnp.int32)
+    warps, denoises = (jnp.asarray(np.isin(np.arange(count + 1) - 1, which)) for which in problem.before)
 
-    def finish(image: jax.Array, row: Any) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        wanted, vector, source, sampled, shown = row
-        residual, sums, own = jax.lax.cond(
-            wanted, lambda: steps.finish(vector, denoised[source], sampled), lambda: nothing
+    def turn(now: _Turn) -> _Turn:
+        row, begins = jnp.maximum(now.row, 0), now.row == first
+        at = unflat(places[row])
+        reads, smooths = (which[row].astype(jnp.int32) for which in (warps, denoises))
+        warped = _put(begins | warps[row], now.warped, reads, lambda: steps.warp(at))
+        denoised = _put(
+            begins | denoises[row], now.denoised, smooths, lambda: steps.denoise(at, warped[reads])
         )
-        return jnp.where(shown, own, image), (residual, sums)
+        new, old = steps.finish(at, denoised[smooths], jnp.where(now.row < 0, 0.0, 1.0)), now.found
+        seen = Seen(
+            jnp.where(now.row <= 0, new.residual, old.seen.residual),
+            jnp.where(now.row <= 0, new.sums, old.seen.sums),
+            jnp.where(begins, new.image, old.seen.image),
+        )
+        column = jnp.maximum(now.row - 1, 0)  # of row 0 it gets zeros, until it is that one's turn
+        jacobian, slopes = (
+            jax.lax.dynamic_update_index_in_dim(a, (b - c) / jnp.asarray(size)[column], column, 0)
+            for a, b, c in (
+                (old.jacobian, new.residual, seen.residual),
+                (old.slopes, new.sums, seen.sums),
+            )
+        )
+        index = jnp.arange(count)
+        following = jnp.min(jnp.where(given.moving & (index >= now.row), index, count)) + 1
+        return _Turn(
+            jnp.where(now.row < 0, 0, following),
+            warped,
+            denoised,
+            Rendered(seen, jacobian, slopes),
+        )
 
-    rows = np.append(np.arange(count), 0)  # the last is what the encoder gets
-    needed, shown = (jnp.append(first, given.encodes) for first in (wanted, np.arange(count) == 0))
-    sampled = np.append(np.ones(count, np.float32), np.float32(0))
-    every = needed, vectors[rows], _standing(denoises, count)[rows], sampled, shown
-    image, (residuals, sums) = jax.lax.scan(finish, nothing[-1], every)
-    return Rendered(residuals[:-1], sums[:-1], image)
+    side = TILE + 2 * AFTER
+    nothing = Rendered(
+        Seen(jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)),
+        jnp.zeros(jacobian_shape(problem)),
+        jnp.zeros((count, noise.SUMS)),
+    )
+    warped, denoised = (jnp.zeros((2, TILES, n, n, 3)) for n in (SIDE, side))
+    start = _Turn(first, warped, denoised, nothing)
+    return jax.lax.while_loop(lambda now: now.row <= count, turn, start).found
+
+
+def _put(wanted: jax.Array, pair: jax.Array, index: jax.Array, make: Callable[[], jax.Array]) -> jax.Array:
+    """The pair with what `make` gives at an index, where that is wanted.
+
+    A loop of at most one turn changes it in place; a branch would copy it.
+    """
+
+    def turn(now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        return jnp.asarray(False), jax.lax.dynamic_update_index_in_dim(now[1], make(), index, 0)
+
+    return jax.lax.while_loop(lambda now: now[0], turn, (wanted, pair))[1]
 
 
 def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
@@ -170,13 +223,6 @@ def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
         return jnp.clip(coded(jnp.round(images * 255) / 255), 0, 1)
 
     return jax.lax.cond(given.encodes, encode, lambda images: images, images)
-
-
-def _standing(rows: np.ndarray, count: int) -> np.ndarray:
-    """Where among `rows` each of `count` rows is; 0, the place of row 0, for those that are not there."""
-    which = np.zeros(count, np.int32)
-    which[rows] = np.arange(len(rows))
-    return which
 
 
 def _residual(render: jax.Array, chunk: Chunk) -> jax.Array:
@@ -203,40 +249,32 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
     Where nothing moves it is one render; `near` is a Jacobian from a place nearby, or zeros. Derivatives
     are those before the encoder: what it rounds away in one pixel it adds in another.
     """
-    steps = problem.steps
-    vectors = jnp.concatenate([vector[None], vector + jnp.diag(steps)])
-    wanted = jnp.concatenate([jnp.ones(1, bool), given.moving])
-    done = _renders(problem, given, vectors, wanted, chunk)
-    residual, sums = done.residuals[0], done.sums[0]
+    (residual, sums, image), jacobian, slopes = rendered(problem, given, vector, chunk)
     if problem.encoder is not None:
-        compared = materialize(_compressed(problem, given, materialize(done.image)))
+        compared = materialize(_compressed(problem, given, materialize(image)))
         residual, sums = _residual(compared, chunk).ravel(), _sums(compared, chunk)
     loss, weight = _robust(residual)
-    share = (given.moving / steps)[:, None]
-    jacobian = (done.residuals[1:] - done.residuals[0]) * share
     weighted = weight * residual
 
     def product(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
-    def square(j: jax.Array) -> jax.Array:
-        return product(j * weight, j.T)
-
-    def by_colour(j: jax.Array) -> jax.Array:
+    def normal(j: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         own = (j * weighted).reshape(len(j), 3, -1).sum(axis=1)
-        return jax.ops.segment_sum(own.T, colour_cells(jnp, chunk.target).ravel(), COLOURS**3)
+        scores = jax.ops.segment_sum(own.T, colour_cells(jnp, chunk.target).ravel(), COLOURS**3)
+        return product(j * weight, j.T), product(j, weighted), scores
 
+    count = len(jacobian)
+    nothing = jnp.zeros((count, count)), jnp.zeros(count), jnp.zeros((COLOURS**3, count))
     return Normal(
-        jax.lax.cond(given.moving.any(), square, lambda j: jnp.zeros((len(j), len(j))), jacobian),
-        product(jacobian, weighted),
-        jax.lax.cond(given.moving.any(), by_colour, lambda j: jnp.zeros((COLOURS**3, len(j))), jacobian),
+        *jax.lax.cond(given.moving.any(), normal, lambda j: nothing, jacobian),
         loss,
         chunk.mask.sum(),
         sums,
-        (done.sums[1:] - done.sums[0]) * share,
+        slopes,
         jacobian,
         product(near, weighted),
-        done.image,
+        image,
     )
 
 

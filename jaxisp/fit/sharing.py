@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError, meant
-from jaxisp.params import map_specs, specs, to_bounded, to_unbounded
+from jaxisp.params import bounded, map_specs, specs, to_bounded, to_unbounded, unbounded
 from jaxisp.pipeline import Params
 from jaxisp.process.programs import QUICK
 
 CAMERA, IMAGE, FIXED = "camera", "image", "fixed"
+Limits = tuple[tuple[float, float, bool], ...]
+"""Bounds of numbers, and whether each is on a logarithmic scale."""
 
 FIXED_NAMES = (
     "exposure",  # the colour matrix holds the scale; see `canonical`
@@ -115,36 +117,47 @@ class Layout:
 
     def vector(self, params: Params, flag: str) -> np.ndarray:
         """The leaves of that flag on the real line, in a row."""
-        free = _free(as_arrays(params))
-        parts = [np.ravel(getattr(free[s], f)) for s, f, own, _ in self.leaves if own == flag]
-        return np.concatenate([np.zeros(0), *parts]).astype(np.float64)
+        parts = [np.ravel(getattr(params[s], f)) for s, f, own, _ in self.leaves if own == flag]
+        values = np.concatenate([np.zeros(0, np.float32), *parts]).astype(np.float32)
+        return np.asarray(_unbounded(values, self._limits(params, flag)), np.float64)
 
     def params(self, fixed: Params, camera: Any, image: Any) -> Params:
         """Bounded parameters out of the two vectors; what is fixed is taken from `fixed`. May be traced."""
-        at, vectors = {CAMERA: 0, IMAGE: 0}, {CAMERA: camera, IMAGE: image}
-        free: dict[str, dict[str, Any]] = {}
-        for stage, field, flag, shape in self.leaves:
-            value: Any = jnp.zeros(shape)
-            if flag != FIXED:
-                count = int(np.prod(shape))
-                value = jnp.reshape(vectors[flag][at[flag] : at[flag] + count], shape)
-                at[flag] += count
-            free.setdefault(stage, {})[field] = value
-        moved = to_bounded({stage: type(fixed[stage])(**fields) for stage, fields in free.items()})
-        held = {(s, f) for s, f, flag, _ in self.leaves if flag == FIXED}
-        return {
-            stage: type(values)(
-                **{f: getattr(fixed[stage] if (stage, f) in held else values, f) for f in specs(type(values))}
-            )
-            for stage, values in moved.items()
-        }
+        fields: dict[str, dict[str, Any]] = {stage: {} for stage in fixed}
+        for flag, vector in ((CAMERA, camera), (IMAGE, image)):
+            # all of one vector at once: one by one, each is a program's step of its own
+            values, at = bounded(jnp.asarray(vector), *_columns(self._limits(fixed, flag))), 0
+            for stage, field, own, shape in self.leaves:
+                if own == flag:
+                    count = int(np.prod(shape))
+                    fields[stage][field] = jnp.reshape(values[at : at + count], shape)
+                    at += count
+        return {stage: dataclasses.replace(fixed[stage], **moved) for stage, moved in fields.items()}
+
+    def _limits(self, params: Params, flag: str) -> Limits:
+        """Of each element of the vector of that flag."""
+        found: list[tuple[float, float, bool]] = []
+        for stage, field, own, shape in self.leaves:
+            if own == flag:
+                spec = specs(type(params[stage]))[field]
+                found += [(*spec.bounds, spec.scale == "log")] * int(np.prod(shape))
+        return tuple(found)
 
     def bounded(self, fixed: Params, camera: Any, image: Any) -> Params:
         """The same of arrays, by a program: operation by operation, each would be compiled for each shape."""
         return as_arrays(_bounded(self, fixed, camera, image))
 
 
-_free = jax.jit(to_unbounded, compiler_options=QUICK)
+def _columns(limits: Limits) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    low, high, log = np.reshape(np.asarray(limits, np.float64), (-1, 3)).T
+    return low, high, log > 0
+
+
+@functools.partial(jax.jit, static_argnums=1, compiler_options=QUICK)
+def _unbounded(values: jax.Array, limits: Limits) -> jax.Array:
+    return unbounded(values, *_columns(limits))
+
+
 _bounded = jax.jit(Layout.params, static_argnums=0, compiler_options=QUICK)
 
 

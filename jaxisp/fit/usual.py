@@ -16,7 +16,7 @@ from jaxisp.colorimetry import primaries_to_xyz
 from jaxisp.fit import model
 from jaxisp.fit.sharing import CAMERA, Layout
 from jaxisp.io.color_space import D65, SRGB_PRIMARIES
-from jaxisp.params import specs, to_unbounded
+from jaxisp.params import specs, unbounded
 from jaxisp.pipeline import Params
 
 MATRIX_MEAN = np.asarray([-0.6134, -0.1128, -0.2089, -0.3586, 0.0359, -0.5867])
@@ -157,14 +157,13 @@ def log_slopes(params: Params) -> jax.Array:
 
 
 def _from_start(params: Params, start: Params) -> jax.Array:
-    there, here = (to_unbounded({name: tree[name] for name in _FILTERS}) for tree in (params, start))
-    return jnp.stack(
-        [
-            getattr(there[name], field) - getattr(here[name], field)
-            for name in _FILTERS
-            for field in specs(type(there[name]))
-        ]
-    )
+    known = {(name, field): spec for name in _FILTERS for field, spec in specs(type(start[name])).items()}
+    low, high = (np.asarray([spec.bounds[end] for spec in known.values()]) for end in (0, 1))
+    log = np.asarray([spec.scale == "log" for spec in known.values()])
+    values = [[getattr(tree[name], field) for name, field in known] for tree in (params, start)]
+    # all at once: one by one, each is a program's step of its own
+    there, here = (unbounded(jnp.stack(own), low, high, log) for own in values)
+    return there - here
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
