@@ -157,13 +157,14 @@ def to_unbounded(tree: Tree, margin: float = 1e-4) -> Tree:
     """
 
     def forward(spec: Spec, value: Any) -> jax.Array:
-        return unbounded(value, *spec.bounds, spec.scale == "log", margin)
+        low, high = spec.bounds
+        return bounds_to_line(value, low, high, spec.scale == "log", margin)
 
     return map_specs(forward, tree)
 
 
-def unbounded(value: Any, low: Any, high: Any, log: Any, margin: float = 1e-4) -> jax.Array:
-    """Numbers between bounds as those on the real line, elementwise: the inverse of `bounded`."""
+def bounds_to_line(value: Any, low: Any, high: Any, log: Any, margin: float = 1e-4) -> jax.Array:
+    """Numbers between bounds as those on the real line, elementwise: the inverse of `line_to_bounds`."""
     first, last = _ends(low, high, log)
     value = jnp.asarray(value)
     if np.any(log):
@@ -176,10 +177,14 @@ def unbounded(value: Any, low: Any, high: Any, log: Any, margin: float = 1e-4) -
 def to_bounded(tree: Tree) -> Tree:
     """The inverse of `to_unbounded`."""
 
-    return map_specs(lambda spec, value: bounded(value, *spec.bounds, spec.scale == "log"), tree)
+    def inverse(spec: Spec, value: Any) -> jax.Array:
+        low, high = spec.bounds
+        return line_to_bounds(value, low, high, spec.scale == "log")
+
+    return map_specs(inverse, tree)
 
 
-def bounded(value: Any, low: Any, high: Any, log: Any) -> jax.Array:
+def line_to_bounds(value: Any, low: Any, high: Any, log: Any) -> jax.Array:
     """Numbers on the real line as those between bounds, elementwise: what `to_bounded` does with each.
 
     Args:

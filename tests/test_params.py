@@ -7,7 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxisp.checks import InputError, check_finite, check_params
-from jaxisp.params import Leaf, batch_axes, param, parameters, spec_tree, strong, to_bounded, to_unbounded
+from jaxisp.params import (
+    Leaf,
+    batch_axes,
+    bounds_to_line,
+    line_to_bounds,
+    param,
+    parameters,
+    spec_tree,
+    strong,
+    to_bounded,
+    to_unbounded,
+)
 
 
 @parameters
@@ -48,6 +59,21 @@ def test_bijector_stays_within_bounds(u):
 def test_bijector_is_finite_on_the_bounds():
     tree = {"lens": strong(Lens(strength=0.0, sigma=10.0))}
     assert all(np.isfinite(v).all() for v in jax.tree.leaves(to_unbounded(tree)))
+
+
+def test_numbers_of_several_scales_at_once_are_those_of_each_alone():
+    """Also where a number on a linear scale would be infinite on the other."""
+    known = (0.0, 2.0, False), (0.1, 10.0, True), (-1e4, 1e4, False)
+    low, high, log = map(np.asarray, zip(*known))
+    values = np.asarray([0.3, -1.2, 2.5], np.float32)
+    there = line_to_bounds(values, low, high, log)
+    alone = [float(line_to_bounds(v, *own)) for v, own in zip(values, known)]
+    np.testing.assert_allclose(there, alone, rtol=1e-6)
+    back = [float(bounds_to_line(v, *own)) for v, own in zip(there, known)]
+    np.testing.assert_allclose(bounds_to_line(there, low, high, log), back, rtol=1e-6)
+    np.testing.assert_allclose(back, values, rtol=1e-4)
+    slopes = jax.jacobian(lambda v: line_to_bounds(v, low, high, log))(values)
+    assert np.isfinite(slopes).all() and (np.diagonal(slopes) > 0).all()
 
 
 def test_batch_axes():

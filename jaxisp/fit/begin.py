@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,6 +12,7 @@ from jaxisp.fit.state import View
 from jaxisp.fit.tiles import HALO, Chunk
 from jaxisp.fit.usual import usual_matrix
 from jaxisp.pipeline import Params
+from jaxisp.process.programs import QUICK
 from jaxisp.stages.balance import ColorMatrix
 from jaxisp.stages.optics import Exposure, GeometricDistortion
 from jaxisp.stages.transfer import srgb_eotf
@@ -50,7 +52,7 @@ def _block_means(view: View, chunk: Chunk, lens: Lens) -> tuple[np.ndarray, np.n
 
     The source is read at the nearest whole pixel.
     """
-    wanted = np.asarray(srgb_eotf(jnp.asarray(chunk.target)))
+    wanted = np.asarray(_linear(jnp.asarray(chunk.target)))
     size = wanted.shape[1]
     source = []
     for tile, place in zip(np.asarray(chunk.source), np.asarray(chunk.place, float)):
@@ -62,6 +64,9 @@ def _block_means(view: View, chunk: Chunk, lens: Lens) -> tuple[np.ndarray, np.n
         source.append(tile[np.clip(rows, 0, last), np.clip(columns, 0, last)])
     whole = _means(np.asarray(chunk.mask)[..., None])[:, 0] == 1
     return _means(np.stack(source))[whole], _means(wanted)[whole]
+
+
+_linear = jax.jit(srgb_eotf, compiler_options=QUICK)  # operation by operation takes longer to compile
 
 
 def _means(tiles: np.ndarray) -> np.ndarray:

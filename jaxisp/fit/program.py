@@ -136,8 +136,8 @@ class Rendered(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """A loop over places: which is next, and what was found. Of `warped` and `denoised` there are two each, that
-    of row 0 and that of a row of its own."""
+    """A loop over places: which is next, and what was found. Of `warped` and `denoised` there are two each:
+    that of row 0 and that of the last row with its own."""
 
     row: jax.Array
     warped: jax.Array
@@ -266,8 +266,11 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
 
     count = len(jacobian)
     nothing = jnp.zeros((count, count)), jnp.zeros(count), jnp.zeros((COLOURS**3, count))
+    matrix, vector, scores = jax.lax.cond(given.moving.any(), normal, lambda j: nothing, jacobian)
     return Normal(
-        *jax.lax.cond(given.moving.any(), normal, lambda j: nothing, jacobian),
+        matrix,
+        vector,
+        scores,
         loss,
         chunk.mask.sum(),
         sums,

@@ -17,8 +17,8 @@ from jaxisp.fit.lens import SMALLEST, Lens
 from jaxisp.fit.problem import GEOMETRY, Problem
 from jaxisp.fit.program import COLOURS, colour_cells
 from jaxisp.fit.sharing import CAMERA, FIXED, IMAGE, Layout, sharing
-from jaxisp.fit.solve import Fit
-from jaxisp.fit.state import Equations, Slopes, State, View
+from jaxisp.fit.solve import SMALLEST_LOSS, Fit
+from jaxisp.fit.state import Equations, Place, Slopes, State, View
 from jaxisp.fit.tiles import Shot, with_source
 from jaxisp.io import Jpeg
 from jaxisp.params import map_specs
@@ -226,22 +226,29 @@ class Search:
         moves the picture almost alike after any demosaicker. A median has its own: its strength moves, too.
         """
         best, state = self._first()
-        shared, own = self._near(best, state), best.median
+        shared, own, again = self._near(best, state), best.median, True
         for group in (self._demosaickers, self._passes, self._more_passes, self._medians):
-            others = self._nearest(list(group(best)), state)
+            others = list(group(best))
             if not others:
                 continue
-            trials = {}
-            for design in [best, *others]:
+            first = self._try(group.__name__, best, state, shared) if again else self._same(best, state)
+            trials = {best: first}
+            for design, place in self._nearest(others, state, shared):
                 near = shared if design.median == own else self._near(design, state)
-                trials[design] = self._try(group.__name__, design, state, near)
+                trials[design] = self._try(group.__name__, design, state, near, place)
             ranked = sorted(trials, key=lambda d: trials[d].objective)
             if group == self._demosaickers:
                 self._ranked = [d.demosaic for d in ranked]
             if trials[ranked[0]].objective < GAIN * trials[best].objective:
                 best = ranked[0]
             state = trials[best]
+            again = not state.idle
         return self._mixed(best, state, shared if best.median == own else self._near(best, state))
+
+    def _same(self, design: model.Design, state: State) -> State:
+        """A trial that would end where it begins."""
+        self.tried.append((design.text, state.objective))
+        return state
 
     def _mixed(self, best: model.Design, state: State, near: Near) -> tuple[model.Design, State]:
         """The best choices, with another demosaicker mixed in where that is much nearer.
@@ -264,12 +271,15 @@ class Search:
             return chosen, trials[chosen]
         return best, state
 
-    def _nearest(self, designs: Sequence[model.Design], state: State) -> list[model.Design]:
-        """Of many choices those that are nearest to the pictures before any step."""
+    def _nearest(
+        self, designs: Sequence[model.Design], state: State, near: Near
+    ) -> list[tuple[model.Design, Place | None]]:
+        """Of many choices those nearest to the pictures before any step, and what was found there."""
         if len(designs) <= MOST_TRIALS:
-            return list(designs)
-        objectives = {design: self._fit(design).objective(state) for design in designs}
-        return sorted(designs, key=objectives.__getitem__)[:MOST_TRIALS]
+            return [(design, None) for design in designs]
+        places = {design: self._fit(design).place(state, near()) for design in designs}
+        nearest = sorted(designs, key=lambda design: places[design].objective)
+        return [(design, places[design]) for design in nearest[:MOST_TRIALS]]
 
     def _near(self, design: model.Design, state: State) -> Near:
         """The equations that trials go by, where one is not in the journal."""
@@ -314,14 +324,16 @@ class Search:
         Where a first round leaves them far off on the fitted tiles, they weigh more in the second.
         """
         steps, now, weight = -(-min(self.options.steps, LAST_STEPS) // 2), state, STATISTICS
-        fit = self._fit(design, whole=True, now=state)
-        known: Slopes | None = fit.slopes(state)
-        patches = fit.patches_at(state, known)
+        fit = self._fit(design, whole=True, scale=1.0)
+        known: Slopes | None = (found := fit.slopes(state))
+        scale: float | None = max(fit.mean_loss(found), SMALLEST_LOSS)
+        patches = fit.patches_at(state, found)
         for turn in (1, 2):
             if design.lens and not self._bends(now):
                 design = dataclasses.replace(design, lens=False)  # it stood in for what was chosen since
-                known = None
-            fit = self._fit(design, whole=True, now=state, statistics=weight, patches=patches)
+                known = scale = None
+            fit = self._fit(design, whole=True, now=state, scale=scale, statistics=weight, patches=patches)
+            scale = fit.scale
             now = self._run(f"{name} {turn}", fit, _again(now), steps, known)
             known = None
             if turn == 1 and np.abs(fit.misfit(now)[noise.TOGETHER]).max() > FAR:
@@ -347,11 +359,13 @@ class Search:
             for size in model.MEDIANS[1:]:
                 yield dataclasses.replace(design, median=size)
 
-    def _try(self, group: str, design: model.Design, state: State, near: Near) -> State:
+    def _try(
+        self, group: str, design: model.Design, state: State, near: Near, place: Place | None = None
+    ) -> State:
         name = f"{group.strip('_')}: {design.text}"
         after, _ = self.journal.get(name)
         if after is None:
-            after = self._fit(design).beginning(_again(state), near())
+            after = self._fit(design).beginning(_again(state), near(), place)
             self.journal.put(name, after, finished=True)
             self._note(name, after)
         self.tried.append((design.text, after.objective))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxisp.errors import InputError, meant
-from jaxisp.params import bounded, map_specs, specs, to_bounded, to_unbounded, unbounded
+from jaxisp.params import bounds_to_line, line_to_bounds, map_specs, specs, to_bounded, to_unbounded
 from jaxisp.pipeline import Params
 from jaxisp.process.programs import QUICK
 
@@ -126,7 +126,8 @@ class Layout:
         fields: dict[str, dict[str, Any]] = {stage: {} for stage in fixed}
         for flag, vector in ((CAMERA, camera), (IMAGE, image)):
             # all of one vector at once: one by one, each is a program's step of its own
-            values, at = bounded(jnp.asarray(vector), *_columns(self._limits(fixed, flag))), 0
+            values = line_to_bounds(jnp.asarray(vector), *_columns(self._limits(fixed, flag)))
+            at = 0
             for stage, field, own, shape in self.leaves:
                 if own == flag:
                     count = int(np.prod(shape))
@@ -155,7 +156,7 @@ def _columns(limits: Limits) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @functools.partial(jax.jit, static_argnums=1, compiler_options=QUICK)
 def _unbounded(values: jax.Array, limits: Limits) -> jax.Array:
-    return unbounded(values, *_columns(limits))
+    return bounds_to_line(values, *_columns(limits))
 
 
 _bounded = jax.jit(Layout.params, static_argnums=0, compiler_options=QUICK)

@@ -23,6 +23,7 @@ HOLD_ZONES = 1e-3  # of the zones of the tone curve, so that gamma and s-curve e
 HOLD_PLACE = 1e-2  # of the geometry, from what the alignment found
 HOLD_BENT = 1e-4  # of the scale under a lens: what the alignment found holds part of the distortion
 FEWEST = 3  # surfaces whose scores tell how they vary
+SMALLEST_LOSS = 1e-7  # that counts as 1
 LONGEST = 1.5  # step on the real line
 SMALLEST = 1e-2  # curvature that damping assumes at least
 CHORDS = 2  # more steps with one Jacobian, for each costs a tenth of another
@@ -85,19 +86,19 @@ class Fit:
         self._share = 1 / (2 * max(self._pixels.sum(), 1))
         self._origin = problem.layout.bounded(fixed, start.camera, start.images[0])
         self.scale = 1.0
-        self.scale = max(self.loss(now or start), 1e-7) if scale is None else scale
+        self.scale = max(self.loss(now or start), SMALLEST_LOSS) if scale is None else scale
 
     def loss(self, state: State) -> float:
         """Mean robust loss of the pixels."""
-        return self._at(state).loss
+        return self.place(state).loss
 
     def misfit(self, state: State) -> np.ndarray:
         """How far the noise statistics are off, in tolerances: see `noise.misfit`."""
-        return self._at(state).rows
+        return self.place(state).rows
 
     def objective(self, state: State) -> float:
         """What the fit lowers: the loss against that of `now`, the statistics, and the pull of the start."""
-        return self._at(state).objective
+        return self.place(state).objective
 
     def trials(self, state: State, near: Any = None) -> list[tuple[int, Chunk, Normal]]:
         """All chunks rendered: which pair, the chunk, and what came of it; `near` as of `spread.each`."""
@@ -183,7 +184,7 @@ class Fit:
             matrix[np.ix_(index, index)] += share * (jacobian.T @ jacobian)
         return value, vector, matrix
 
-    def _at(self, state: State, near: "Equations | None" = None) -> "Place":
+    def place(self, state: State, near: Equations | None = None) -> Place:
         """The objective at a state, and its gradient with the Jacobians of a place nearby."""
         vector, total, weight = np.zeros(len(self._hold)), 0.0, 0.0
         sums = np.zeros_like(self.wanted)
@@ -199,6 +200,11 @@ class Fit:
         if near is not None:
             gradient += self.statistics * (near.slopes * soft) @ rows
         return Place(float(objective), gradient, total / weight, rows)
+
+    @staticmethod
+    def mean_loss(known: Slopes) -> float:
+        """What `loss` is where these slopes are."""
+        return sum(float(part.loss) for part in known.parts) / sum(float(part.weight) for part in known.parts)
 
     def slopes(self, state: State) -> Slopes:
         """All chunks with their derivatives at a state."""
@@ -268,12 +274,22 @@ class Fit:
             tick(state)
         return state
 
-    def beginning(self, state: State, at: Equations) -> State:
-        """A few steps with the equations of another choice, or of a place nearby; each only renders."""
-        place = self._at(state, at)
+    def beginning(self, state: State, at: Equations, place: Place | None = None) -> State:
+        """A few steps with the equations of another choice, or of a place nearby; each only renders.
+
+        Args:
+            state: where to start.
+            at: the equations.
+            place: what `place` gives for both, where that is known.
+
+        Returns:
+            where they end; `idle` where a step lowered the objective no more: they would end there again.
+        """
+        place = place or self.place(state, at)
         for _ in range(1 + CHORDS):
             there, further = self._moved(state, at, place.vector, state.damping)
             if not further.objective < place.objective:
+                state = dataclasses.replace(state, idle=1)
                 break
             state, place = there, further
         return dataclasses.replace(state, objective=place.objective)
@@ -297,13 +313,11 @@ class Fit:
             there, objective=place.objective, damping=max(damping / 5, 1e-5), done=state.done + 1
         )
 
-    def _moved(
-        self, state: State, at: Equations, vector: np.ndarray, damping: float
-    ) -> "tuple[State, Place]":
+    def _moved(self, state: State, at: Equations, vector: np.ndarray, damping: float) -> tuple[State, Place]:
         diagonal = at.matrix.diagonal() + SMALLEST
         step = np.linalg.solve(at.matrix + damping * np.diag(diagonal), -vector)
         there = state.moved(np.clip(step, -LONGEST, LONGEST))
-        return there, self._at(there, at)
+        return there, self.place(there, at)
 
 
 def patch_at(at: Equations, columns: np.ndarray) -> float:

@@ -19,7 +19,7 @@ from jaxisp.fit.raw_noise import RawNoise, raw_noise
 from jaxisp.fit.sharing import as_arrays
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
-from jaxisp.pipeline import Chain, over_batch, run_batch
+from jaxisp.pipeline import Chain, over_batch, run_batch, stage
 from jaxisp.process.programs import QUICK
 
 TILE = 64
@@ -86,20 +86,21 @@ class Split(NamedTuple):
 
 
 def with_source(chunk: Chunk, cfa: str, design: model.Design, *, once: bool = False) -> Chunk:
-    """The chunk with its mosaic demosaicked; `once`: by a program that is soon compiled, and slow."""
-    chain, mosaics = demosaicker(cfa, design), jnp.asarray(chunk.source)
+    """The chunk with its mosaic demosaicked; `once`: by programs that are soon compiled, and slow.
+
+    These are one a demosaicker and one a pass of medians, which mixes and more passes share.
+    """
+    mosaics = jnp.asarray(chunk.source)
     if not once:
-        return chunk._replace(source=run_batch(chain, as_arrays(model.shares(design)), mosaics))
-    if design.mixed is None:
-        return chunk._replace(source=_once(chain, mosaics))
-    # by the programs of both, which their own trials have compiled
-    name, share = design.mixed
-    alone = [model.Design(one) for one in (design.demosaic, name)]
-    own, other = (_once(demosaicker(cfa, one), mosaics) for one in alone)
-    mixed = own + share * (other - own)
-    if design.passes:
-        mixed = _once(Chain(chain.nodes[1:], "medians"), mixed)
-    return chunk._replace(source=mixed)
+        shares = as_arrays(model.shares(design))
+        return chunk._replace(source=run_batch(demosaicker(cfa, design), shares, mosaics))
+    source = _once(demosaicker(cfa, model.Design(design.demosaic)), mosaics)
+    if design.mixed is not None:
+        name, share = design.mixed
+        source += share * (_once(demosaicker(cfa, model.Design(name)), mosaics) - source)
+    for _ in range(design.passes):
+        source = _once(Chain((stage("color_difference_median"),), "medians"), source)
+    return chunk._replace(source=source)
 
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
@@ -107,12 +108,18 @@ def _once(chain: Chain, images: jax.Array) -> jax.Array:
     return over_batch(chain, {}, images, None)
 
 
+# operation by operation they take longer to compile
+_border_mask = jax.jit(border_mask, static_argnums=(0, 1), compiler_options=QUICK)
+_clip_mask = jax.jit(clip_mask, static_argnums=(1, 2), compiler_options=QUICK)
+
+
 def split(
     target: np.ndarray, alignment: Alignment, raw_shape: tuple[int, ...], lens: Lens = STRAIGHT
 ) -> Split:
     """A checkerboard of tiles. Clipped pixels are not fitted: they say only that a scene was brighter."""
-    inside = covered(alignment, lens, raw_shape, target.shape) & np.asarray(border_mask(target.shape, BORDER))
-    unclipped = np.asarray(clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
+    border = np.asarray(_border_mask(target.shape[:2], BORDER))
+    inside = covered(alignment, lens, raw_shape, target.shape) & border
+    unclipped = np.asarray(_clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
     y, x = np.indices(target.shape[:2], dtype=np.int32)
     even = (y // TILE + x // TILE) % 2 == 0
     return Split(inside & unclipped & even, inside & ~even)

@@ -16,7 +16,7 @@ from jaxisp.colorimetry import primaries_to_xyz
 from jaxisp.fit import model
 from jaxisp.fit.sharing import CAMERA, Layout
 from jaxisp.io.color_space import D65, SRGB_PRIMARIES
-from jaxisp.params import specs, unbounded
+from jaxisp.params import bounds_to_line, specs
 from jaxisp.pipeline import Params
 
 MATRIX_MEAN = np.asarray([-0.6134, -0.1128, -0.2089, -0.3586, 0.0359, -0.5867])
@@ -162,7 +162,7 @@ def _from_start(params: Params, start: Params) -> jax.Array:
     log = np.asarray([spec.scale == "log" for spec in known.values()])
     values = [[getattr(tree[name], field) for name, field in known] for tree in (params, start)]
     # all at once: one by one, each is a program's step of its own
-    there, here = (unbounded(jnp.stack(own), low, high, log) for own in values)
+    there, here = (bounds_to_line(jnp.stack(own), low, high, log) for own in values)
     return there - here
 
 

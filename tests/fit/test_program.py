@@ -9,7 +9,7 @@ from jaxisp.color import rgb_to_ycbcr_planes
 from jaxisp.fit import model
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.program import CHROMA, COLOURS, jacobian_shape, normal_equations
-from jaxisp.fit.search import Options, Search
+from jaxisp.fit.search import Options, Search, _again
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.tiles import prepare, with_source
 
@@ -126,3 +126,24 @@ def test_the_program_that_is_soon_compiled_demosaicks_alike(own, design):
     quick, slow = (with_source(shot.chunks[0], shot.cfa, design, once=once).source for once in (True, False))
     np.testing.assert_allclose(quick, slow, atol=1e-4)
     assert np.asarray(slow).std() > 0.01
+
+
+def test_the_loss_of_slopes_is_that_of_a_render_to_the_bit(fitted):
+    fit, origin = fitted
+    assert fit.mean_loss(fit.slopes(origin)) == fit.loss(origin)
+
+
+def test_steps_that_ended_by_themselves_end_there_again(fitted):
+    """So that the search need not take them again; elsewhere they would go on."""
+    fit, origin = fitted
+    at, state = fit.equations(origin), origin
+    for _ in range(9):
+        state = fit.beginning(_again(state), at)
+        if state.idle:
+            break
+    assert state.idle and state.objective < at.objective
+    same = fit.beginning(_again(state), at)
+    assert same.objective == state.objective
+    np.testing.assert_array_equal(same.camera, state.camera)
+    there = fit.beginning(_again(origin), at, fit.place(origin, at))
+    np.testing.assert_array_equal(there.camera, fit.beginning(_again(origin), at).camera)

@@ -9,7 +9,7 @@ from jaxisp.fit.begin import _near_usual
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.search import Options, Search
 from jaxisp.fit.solve import PATCH, patch_at
-from jaxisp.fit.state import Equations
+from jaxisp.fit.state import Equations, Place
 from jaxisp.fit.tiles import halved, prepare
 from jaxisp.fit.usual import (
     CURVE_DIRECTIONS,
@@ -138,13 +138,13 @@ def test_of_many_choices_those_nearest_to_the_picture_get_a_step(search, monkeyp
         def __init__(self, design):
             self.design = design
 
-        def objective(self, state):
-            return far[self.design]
+        def place(self, state, near):
+            return Place(far[self.design], np.zeros(0), 0.0, np.zeros(0))
 
     monkeypatch.setattr(search, "_fit", Told)
-    kept = search._nearest(designs, search.origin)
-    assert [far[d] for d in kept] == [1, 2, 3, 4, 5]
-    assert search._nearest(designs[:5], search.origin) == designs[:5]
+    kept = search._nearest(designs, search.origin, lambda: None)
+    assert [far[d] for d, _ in kept] == [place.objective for _, place in kept] == [1, 2, 3, 4, 5]
+    assert search._nearest(designs[:5], search.origin, lambda: None) == [(d, None) for d in designs[:5]]
 
 
 def test_halves_have_each_fitted_pixel_once(search):
