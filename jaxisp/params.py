@@ -165,12 +165,12 @@ def to_unbounded(tree: Tree, margin: float = 1e-4) -> Tree:
 
 def bounds_to_line(value: Any, low: Any, high: Any, log: Any, margin: float = 1e-4) -> jax.Array:
     """Numbers between bounds as those on the real line, elementwise: the inverse of `line_to_bounds`."""
-    first, last = _ends(low, high, log)
     value = jnp.asarray(value)
+    low, high, first, span = _limits(low, high, log, jnp.result_type(value, float))
     if np.any(log):
         powers = jnp.log(jnp.clip(value, low, high))
         value = powers if np.all(log) else jnp.where(log, powers, value)
-    share = jnp.clip((value - first) / (last - first), margin, 1 - margin)
+    share = jnp.clip((value - first) / span, margin, 1 - margin)
     return jnp.log(share) - jnp.log1p(-share)
 
 
@@ -192,8 +192,9 @@ def line_to_bounds(value: Any, low: Any, high: Any, log: Any) -> jax.Array:
         low, high: numbers, or arrays of its shape.
         log: whether the scale is logarithmic; a bool, or an array of them.
     """
-    first, last = _ends(low, high, log)
-    scaled = first + (last - first) * jax.nn.sigmoid(value)
+    value = jnp.asarray(value)
+    low, high, first, span = _limits(low, high, log, jnp.result_type(value, float))
+    scaled = first + span * jax.nn.sigmoid(value)
     if np.any(log):
         # else a number that is not on that scale could be infinite, and its gradient none
         powers = jnp.exp(scaled if np.all(log) else jnp.where(log, scaled, 0))
@@ -202,12 +203,11 @@ def line_to_bounds(value: Any, low: Any, high: Any, log: Any) -> jax.Array:
     return jnp.clip(scaled, low, high)
 
 
-def _ends(low: Any, high: Any, log: Any) -> tuple[Any, Any]:
-    """The bounds on the scale of the numbers."""
-    if np.ndim(log) == 0:
-        return (np.log(low), np.log(high)) if log else (low, high)
+def _limits(low: Any, high: Any, log: Any, dtype: Any) -> tuple[np.ndarray, ...]:
+    """The bounds; and the lower one and how far they are apart, on the scale of the numbers."""
     first, last = (np.where(log, np.log(np.where(log, end, 1.0)), end) for end in (low, high))
-    return first, last
+    low, high, first, span = (np.asarray(part, dtype) for part in (low, high, first, last - first))
+    return low, high, first, span
 
 
 def batch_axes(tree: Tree) -> Tree:

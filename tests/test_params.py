@@ -69,6 +69,7 @@ def test_numbers_of_several_scales_at_once_are_those_of_each_alone():
     there = line_to_bounds(values, low, high, log)
     alone = [float(line_to_bounds(v, *own)) for v, own in zip(values, known)]
     np.testing.assert_allclose(there, alone, rtol=1e-6)
+    assert float(bounds_to_line(1, *known[1])) == float(bounds_to_line(1.0, *known[1])), "a whole number"
     back = [float(bounds_to_line(v, *own)) for v, own in zip(there, known)]
     np.testing.assert_allclose(bounds_to_line(there, low, high, log), back, rtol=1e-6)
     np.testing.assert_allclose(back, values, rtol=1e-4)

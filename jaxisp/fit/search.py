@@ -262,7 +262,7 @@ class Search:
         designs = {name: dataclasses.replace(best, mixed=(name, SHARES[1])) for name in partners}
         objectives = {name: self._fit(design).objective(state) for name, design in designs.items()}
         nearest = min(partners, key=objectives.__getitem__)
-        if objectives[nearest] > self._fit(best).objective(state):
+        if objectives[nearest] > state.objective:
             return best, state
         mixes = [dataclasses.replace(best, mixed=(nearest, share)) for share in SHARES]
         trials = {design: self._try("mixes", design, state, near) for design in (best, *mixes)}

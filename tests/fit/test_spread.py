@@ -16,11 +16,10 @@ from jax.sharding import Mesh
 from jaxisp.errors import InputError
 from jaxisp.fit import Example, fit_dataset, model
 from jaxisp.fit.journal import Journal
-from jaxisp.fit.pair import demosaicker
 from jaxisp.fit.search import Options, Search
-from jaxisp.fit.sharing import _free, as_arrays
+from jaxisp.fit.sharing import CAMERA, Layout, sharing
 from jaxisp.fit.spread import agree
-from jaxisp.fit.tiles import SOURCE, TILES, _once, prepare
+from jaxisp.fit.tiles import SOURCE, TILES, no_chunk, prepare, with_source
 from jaxisp.io import open_dataset
 from jaxisp.recipe import Recipe
 from jaxisp.samples import PHONES, scenes, write_pairs
@@ -96,8 +95,10 @@ def digest():
     """Of what the programs of a fit that compile without optimisation give."""
     tiles = np.random.default_rng(0).uniform(size=(TILES, SOURCE, SOURCE)).astype(np.float32)
     designs = [*map(model.Design, model.DEMOSAICKERS), model.Design(passes=1), model.Design(passes=2)]
-    parts = [_once(demosaicker("RGGB", design), tiles) for design in designs]
-    parts += jax.tree.leaves(_free(as_arrays(model.start())))
+    chunk = no_chunk()._replace(source=tiles)
+    parts = [with_source(chunk, "RGGB", design, once=True).source for design in designs]
+    start = model.start()
+    parts.append(Layout.of(start, sharing(start)).vector(start, CAMERA))
     return hashlib.sha256(b"".join(np.asarray(p).tobytes() for p in parts)).hexdigest()
 
 
