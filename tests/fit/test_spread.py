@@ -63,7 +63,7 @@ def test_eight_devices_give_the_equations_of_one(folder):
     np.testing.assert_allclose(at.matrix, wanted.matrix, atol=1e-5 * np.abs(wanted.matrix).max())
     np.testing.assert_allclose(at.vector, wanted.vector, atol=1e-4 * np.abs(wanted.vector).max())
     moved = search.origin.moved(np.full(len(at.vector), 1e-3))
-    places = [fit._at(moved, near) for fit, near in ((many, at), (one, wanted))]
+    places = [fit.place(moved, near) for fit, near in ((many, at), (one, wanted))]
     assert places[0].objective == pytest.approx(places[1].objective, rel=1e-5)
     assert np.abs(places[0].vector - places[1].vector).max() < 1e-3 * np.abs(places[1].vector).max()
 
