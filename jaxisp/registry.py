@@ -80,7 +80,7 @@ def register(
             of X-Trans; or a function of the static options. A stage of larger blocks, as an encoder, runs in
             strips of its own.
         symmetric: True where one pass alone looks beyond a pixel, or a mirror image comes out as the mirror
-            image of the result, to the bit: no sum in any pass but the first depends on its order. Pictures
+            image of the result, to the bit: no sum in any pass but the last depends on its order. Pictures
             of many sizes then share a program, see `Node.margin`; so they do where the reach is 0, and where
             the stage takes an `extent`.
 

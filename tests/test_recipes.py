@@ -363,6 +363,7 @@ def in_frames(recipe, pictures, frame):
     return recipe.degrade(jax.random.key(5), images, 0, [p.shape[:2] for p in pictures])
 
 
+AUTOMATIC = Recipe(Chain((stage("auto_level"),), "automatic"), {})
 SENSOR = (
     stage("mosaic", cfa="GRBG"), stage("shot_read_noise"), stage("demosaic_hibbard", cfa="GRBG"),
     stage("unsharp_mask", radius=2),
@@ -392,9 +393,10 @@ def test_a_picture_comes_out_of_a_larger_frame_as_alone(nodes, margin):
 
 
 @pytest.mark.slow
-def test_phone_comes_out_of_a_larger_frame_as_alone():
+@pytest.mark.parametrize("name", ["phone", "any-camera"])
+def test_a_camera_comes_out_of_a_larger_frame_as_alone(name):
     """Smaller than a loop of the grid's sums, larger, and with an edge inside a cell."""
-    recipe = RECIPES["phone"]()
+    recipe = RECIPES[name]()
     sizes = [(64, 80), (141, 83), (33, 190)]
     pictures = [smooth_image((*size, 3), i).astype(np.float32) for i, size in enumerate(sizes)]
     noisy, _, _ = in_frames(recipe, pictures, (160, 208))
@@ -403,20 +405,24 @@ def test_phone_comes_out_of_a_larger_frame_as_alone():
         np.testing.assert_array_equal(noisy[i, : picture.shape[0], : picture.shape[1]], alone[0])
 
 
+def test_all_recipes_take_frames():
+    assert [name for name, recipe in RECIPES.items() if recipe().chain.margin is None] == []
+
+
 def test_a_mixture_of_such_recipes_takes_frames_too():
     mixture = mix({"awgn": 0.5, "clean": 0.5})
     pictures = [smooth_image((9 + i, 14, 3), i).astype(np.float32) for i in range(3)]
     noisy = in_frames(mixture, pictures, (12, 14))[0]
-    assert mixture.margin == 0 and mix({"awgn": 0.5, "any-camera": 0.5}).margin is None
+    assert mixture.margin == 0 and mix({"awgn": 0.5, AUTOMATIC: 0.5}).margin is None
     for i, picture in enumerate(pictures):
         alone, _, _ = mixture.degrade(jax.random.key(5), picture[None], i)
         np.testing.assert_array_equal(noisy[i, : len(picture)], alone[0])
 
 
 @pytest.mark.parametrize(
-    ("name", "sizes", "told"),
+    ("recipe", "sizes", "told"),
     [
-        ("any-camera", [[16, 20]], "what use_camera gives depends on the size of the image"),
+        (AUTOMATIC, [[16, 20]], "what auto_level gives depends on the size of the image"),
         ("phone-kodak", [[15, 20]], "a side is the same or 2 px less, and at least 5"),
         ("phone-kodak", [[4, 20]], "at least 5"),
         ("phone-kodak", [[17, 20]], "17 x 20 px in an image of 16 x 20"),
@@ -424,9 +430,9 @@ def test_a_mixture_of_such_recipes_takes_frames_too():
         ("awgn", [[16.0, 20.0]], r"sizes are \(1, 2\) rows and columns"),
     ],
 )
-def test_sizes_without_room_are_refused(name, sizes, told):
+def test_sizes_without_room_are_refused(recipe, sizes, told):
     with pytest.raises(InputError, match=told):
-        RECIPES[name]().degrade(jax.random.key(0), np.full((1, 16, 20, 3), 0.5, np.float32), 0, sizes)
+        find_recipe(recipe).degrade(jax.random.key(0), np.full((1, 16, 20, 3), 0.5, np.float32), 0, sizes)
 
 
 def test_noise_of_other_keys_depends_on_the_frame():

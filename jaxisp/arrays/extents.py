@@ -53,6 +53,15 @@ def mirrored(image: jax.Array, extent: Extent) -> jax.Array:
 def clamped(plane: jax.Array, extent: Extent) -> jax.Array:
     """An (H, W) frame with the picture's last row and column repeated beyond it."""
     for axis, size in enumerate(extent):
-        place = jnp.minimum(lax.iota(jnp.int32, plane.shape[axis]), size - 1)
-        plane = jnp.take(plane, place, axis, mode="clip")
+        plane = _clamped(plane, size, axis)
     return lax.optimization_barrier(plane)
+
+
+def clamped_rows(plane: jax.Array, height: jax.Array) -> jax.Array:
+    """An (H, W) frame with the last row of a picture of all its columns repeated beyond it."""
+    return lax.optimization_barrier(_clamped(plane, height, 0))
+
+
+def _clamped(plane: jax.Array, size: jax.Array, axis: int) -> jax.Array:
+    place = jnp.minimum(lax.iota(jnp.int32, plane.shape[axis]), size - 1)
+    return jnp.take(plane, place, axis, mode="clip")

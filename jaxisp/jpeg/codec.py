@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from jaxisp.arrays.barriers import materialize
-from jaxisp.arrays.extents import Extent, clamped
+from jaxisp.arrays.extents import Extent, clamped, clamped_rows
 from jaxisp.arrays.linear import linear_call
 from jaxisp.arrays.safe_math import clip, straight_through
 from jaxisp.color import rgb_to_ycbcr_planes, ycbcr_to_rgb_planes
@@ -99,7 +99,7 @@ def downsample(plane: jax.Array, step: tuple[int, int], extent: Extent | None = 
         hard = shifted(total + bias.astype(plane.dtype)[None], sy * sx // 2)
         total = straight_through(hard, total / (sy * sx))
     if extent is not None and sy > 1:
-        total = clamped(total, extent.over(step)._replace(width=jnp.int32(columns)))
+        total = clamped_rows(total, extent.over(step).height)
     return _lower(total, -rows % 8)
 
 

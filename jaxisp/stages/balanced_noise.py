@@ -3,11 +3,13 @@
 import jax
 
 from jaxisp import cfa as filters
+from jaxisp.arrays.extents import Extent
 from jaxisp.arrays.safe_math import safe_sqrt
 from jaxisp.cfa import Pattern
 from jaxisp.domains import Mosaic
 from jaxisp.params import Leaf, param, parameters
 from jaxisp.pipeline import register
+from jaxisp.stages.noise.draws import normal
 
 
 @parameters
@@ -21,7 +23,14 @@ class BalancedNoise:
 
 
 @register
-def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa: Pattern = "RGGB") -> Mosaic:
+def balanced_noise(
+    params: BalancedNoise,
+    image: Mosaic,
+    *,
+    key: jax.Array,
+    extent: Extent | None = None,
+    cfa: Pattern = "RGGB",
+) -> Mosaic:
     """Add shot and read noise to a mosaic that is white-balanced already.
 
     `y = x + sqrt(g_c shot max(x, 0) + (g_c read)**2) n`, g_c the gain of the colour, 1 for green: the noise
@@ -31,6 +40,7 @@ def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa:
         params: shot, read and the gains of red and blue.
         image: (H, W) white-balanced linear light, any range.
         key: draws the noise.
+        extent: of the picture, where the image is a larger frame.
         cfa: the Bayer or X-Trans pattern, row-major from the top-left.
 
     Returns:
@@ -45,4 +55,4 @@ def balanced_noise(params: BalancedNoise, image: Mosaic, *, key: jax.Array, cfa:
     gain = filters.select(masks, red, 1 + 0 * image, blue)
     light = (image > 0).astype(image.dtype) * image
     variance = gain * params.shot * light + (gain * params.read) ** 2
-    return image + safe_sqrt(variance) * jax.random.normal(key, image.shape, image.dtype)
+    return image + safe_sqrt(variance) * normal(key, image, extent=extent)

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxisp.arrays.barriers import materialize
+from jaxisp.arrays.barriers import materialize, unknown_zeros
+from jaxisp.arrays.extents import Extent, clamped_rows
 from jaxisp.arrays.planes import interleaved, planes
 from jaxisp.arrays.rows import as_rows, from_rows
 from jaxisp.arrays.safe_math import round_through
@@ -86,7 +87,7 @@ class Demosaicking:
     shares: Leaf = param((0.0,) * len(DEMOSAICKERS), (-0.5, 1.5), "1", doc=", ".join(DEMOSAICKERS))
 
 
-@register(reach=lambda o: None if o["partner"] == ANY else FARTHEST)
+@register(reach=lambda o: None if is_xtrans(o["cfa"]) else FARTHEST, symmetric=True)
 def demosaicking(
     params: Demosaicking,
     image: Mosaic,
@@ -123,7 +124,7 @@ def demosaicking(
             kind = "X-Trans" if is_xtrans(cfa) else "a Bayer pattern"
             raise ValueError(f"demosaicking: {option} {name!r} on {kind}, expected {', '.join(known)}")
     start = as_rows(known[algorithm](image, cfa=cfa))
-    change = jnp.zeros_like(start)
+    change = unknown_zeros(start.shape, start)
     for share, (name, run) in zip(params.shares, known.items()):
         if name == algorithm or partner not in (ANY, name):  # D less D, or not mixed in
             continue
@@ -146,7 +147,9 @@ HALVED = {"4:2:0": (1.0, 1.0), "4:2:2": (1.0, 0.0)}
 
 
 @register
-def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedRGB:
+def chroma_subsampling(
+    params: ChromaSubsampling, image: EncodedRGB, *, extent: Extent | None = None
+) -> EncodedRGB:
     """Halve the resolution of chroma and restore the size: averages of two, back by linear interpolation.
 
     `C' = C + share (U(D(C)) - C)`, columns first and then rows; D averages pairs from the left and from
@@ -156,6 +159,7 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     Args:
         params: the shares.
         image: (H, W, 3) encoded, any range.
+        extent: of the picture, where the image is a larger frame.
 
     Returns:
         (H, W, 3) encoded, not rounded.
@@ -166,17 +170,24 @@ def chroma_subsampling(params: ChromaSubsampling, image: EncodedRGB) -> EncodedR
     """
     y, *chroma = rgb_to_ycbcr_planes(*planes(image))
     forms = params.sampled, params.repeated
-    across = (_halved(materialize(c.T), params.horizontal, *forms) for c in chroma)
-    cb, cr = (materialize(_halved(materialize(c.T), params.vertical, *forms)) for c in across)
+    width, height = (None, None) if extent is None else (extent.width, extent.height)
+    across = (_halved(materialize(c.T), params.horizontal, *forms, width) for c in chroma)
+    cb, cr = (materialize(_halved(materialize(c.T), params.vertical, *forms, height)) for c in across)
     return interleaved(ycbcr_to_rgb_planes(y, cb, cr))
 
 
-def _halved(plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: jax.Array) -> jax.Array:
-    """Along the rows: every second number of a column is a vector, of a row it is not."""
+def _halved(
+    plane: jax.Array, share: jax.Array, sampled: jax.Array, repeated: jax.Array, size: jax.Array | None
+) -> jax.Array:
+    """Along the rows, `size` of them the picture's: every second of a column is a vector, of a row not."""
     height = plane.shape[0]
     even = jnp.pad(plane, ((0, height % 2), (0, 0)), mode="edge")
+    if size is not None:
+        even = clamped_rows(even, size)
     first, second = even[::2], even[1::2]
     small = first + 0.5 * (1 - sampled) * (second - first)
+    if size is not None:
+        small = clamped_rows(small, (size + 1) // 2)
     tall = jnp.pad(small, ((1, 1), (0, 0)), mode="edge")
     far = 0.25 * (1 - repeated)
     above, below = (small + far * (tall[s : s + len(small)] - small) for s in (0, 2))
@@ -195,7 +206,11 @@ class EarlierCompression:
 
 @register
 def earlier_compression(
-    params: EarlierCompression, image: EncodedRGB, *, subsampling: Sampling = "4:4:4"
+    params: EarlierCompression,
+    image: EncodedRGB,
+    *,
+    extent: Extent | None = None,
+    subsampling: Sampling = "4:4:4",
 ) -> EncodedRGB:
     """Compress the picture on an 8x8 grid that need not start at its corner.
 
@@ -205,6 +220,7 @@ def earlier_compression(
     Args:
         params: quality and the place of the grid.
         image: (H, W, 3) in [0, 1].
+        extent: of the picture, where the image is a larger frame.
         subsampling: "4:4:4", "4:2:2" or "4:2:0".
 
     Returns:
@@ -215,6 +231,16 @@ def earlier_compression(
     Source: ITU-T T.81 (1992).
     """
     row, column = (jnp.round(lax.stop_gradient(v)).astype(jnp.int32) for v in (params.row, params.column))
-    moved = jnp.roll(image, jnp.stack((-row, -column)), (0, 1))
-    moved = jpeg(Jpeg(quality=round_through(params.quality)), moved, subsampling=subsampling)
-    return jnp.roll(moved, jnp.stack((row, column)), (0, 1))
+    moved = _rolled(image, (row, column), extent)
+    moved = jpeg(Jpeg(quality=round_through(params.quality)), moved, extent=extent, subsampling=subsampling)
+    return _rolled(moved, (-row, -column), extent)
+
+
+def _rolled(image: jax.Array, by: tuple[jax.Array, jax.Array], extent: Extent | None) -> jax.Array:
+    """The picture up and to the left, what leaves it there coming in at its end."""
+    if extent is None:
+        return jnp.roll(image, jnp.stack([-n for n in by]), (0, 1))
+    for axis, (step, size) in enumerate(zip(by, extent)):
+        place = (lax.iota(jnp.int32, image.shape[axis]) + step) % size
+        image = jnp.take(image, place, axis, mode="clip")
+    return image

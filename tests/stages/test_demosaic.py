@@ -12,6 +12,7 @@ import pytest
 import scipy.ndimage as ndi
 import skimage.data
 
+from jaxisp.arrays.extents import Extent
 from jaxisp.cfa import PATTERNS, masks, select, shifted
 from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.homogeneity import _cube_root
@@ -410,3 +411,18 @@ def test_gains_go_through(name, x64):
     mosaic = mosaic_of(photograph())[: SHAPE[0], : SHAPE[1]] + 0.05
     one, two = (run(f"demosaic_{name}", gain * mosaic) for gain in (1.0, 2.0))
     np.testing.assert_allclose(two, 2 * one, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["ahd", "menon", "ppg", "dcb", "rcd", "lmmse"])
+def test_ties_are_decided_alike_in_a_larger_frame(name):
+    """Samples of few levels, whose ties are decided by how sums are rounded: of the mirror image beyond the
+    picture too."""
+    node, extent = stage(f"demosaic_{name}"), Extent(jnp.int32(41), jnp.int32(52))
+    rng, rows, columns = np.random.default_rng(0), np.arange(41)[:, None], np.arange(52)
+    smooth = 0.5 + 0.3 * np.sin(columns / 5) * np.cos(rows / 4)
+    noisy = np.clip(smooth + 0.05 * rng.standard_normal((24, 41, 52)), 0, 1)
+    mosaics = (np.round(noisy * 255) / 255).astype(np.float32)
+    frames = np.pad(mosaics, [(0, 0), (0, 23), (0, 20)], constant_values=0.7)
+    alone = jax.jit(jax.vmap(lambda x: node({}, x)))(mosaics)
+    framed = jax.jit(jax.vmap(lambda x: node({}, x, extent=extent)))(frames)
+    np.testing.assert_array_equal(framed[:, :41, :52], alone)

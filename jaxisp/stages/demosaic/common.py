@@ -52,6 +52,14 @@ def _neighbours(plane: jax.Array, offsets: tuple[tuple[int, int], ...]) -> tuple
     return linear_call(seen, collected, None, plane)
 
 
+def paired_sum(planes: Sequence[jax.Array]) -> jax.Array:
+    """The sum of two, four or eight views, each pair first: with views of `CROSS` or `DIAGONALS`,
+    or of both, a mirror image has the mirror image of the sum, to the bit."""
+    while len(planes) > 1:
+        planes = [a + b for a, b in zip(planes[::2], planes[1::2], strict=True)]
+    return planes[0]
+
+
 class Sites(NamedTuple):
     """Where a mosaic's colours stand: boolean (H, W) masks."""
 

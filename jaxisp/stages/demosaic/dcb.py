@@ -11,7 +11,16 @@ from jaxisp.arrays.planes import interleaved
 from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, Planes, Sites, neighbours, red_and_blue, sites
+from jaxisp.stages.demosaic.common import (
+    CROSS,
+    DIAGONALS,
+    Planes,
+    Sites,
+    neighbours,
+    paired_sum,
+    red_and_blue,
+    sites,
+)
 
 _TWO_AWAY = [(2 * y, 2 * x) for y, x in CROSS]
 _AROUND = CROSS + DIAGONALS
@@ -80,30 +89,31 @@ def _range(plane: jax.Array, offsets: list[tuple[int, int]]) -> jax.Array:
 def _guessed_range(at: Sites, image: jax.Array, green: jax.Array) -> jax.Array:
     """The range of the opposite colour two away and of the pixel's own on the diagonals, both guessed."""
     difference = materialize(jnp.where(at.green, 0, image - green))
-    guess = materialize(green + 0.25 * reduce(jnp.add, neighbours(difference, DIAGONALS)))
+    guess = materialize(green + 0.25 * paired_sum(neighbours(difference, DIAGONALS)))
     return _range(guess, _TWO_AWAY) + _range(guess, DIAGONALS)
 
 
 def _colored(at: Sites, image: jax.Array, green: jax.Array) -> Planes:
     """Red and blue by bilinear colour differences."""
     difference = materialize(jnp.where(at.green, 0, image - green))
-    left, right, up, down, a, b, c, d = neighbours(difference, _AROUND)
-    opposite = 0.25 * ((a + b) + (c + d))
+    left, right, up, down, *diagonal = neighbours(difference, _AROUND)
+    opposite = 0.25 * paired_sum(diagonal)
     red, blue = red_and_blue(at, difference, opposite, 0.5 * (left + right), 0.5 * (up + down))
     return green + red, green, green + blue
 
 
 def _smoothed(difference: jax.Array) -> jax.Array:
     """The mean of the eight around each pixel."""
-    return reduce(jnp.add, neighbours(difference, _AROUND)) / 8
+    return paired_sum(neighbours(difference, _AROUND)) / 8
 
 
 def _share(green: jax.Array) -> jax.Array:
     """The share of pixels whose green goes along the column, in a diamond of 13 weighed 4, 2, 1."""
     left, right, up, down = neighbours(green, CROSS)
-    ridge = green > 0.25 * ((left + right) + (up + down))
-    low = (jnp.minimum(left, right) + left + right) < (jnp.minimum(up, down) + up + down)
-    high = (jnp.maximum(left, right) + left + right) > (jnp.maximum(up, down) + up + down)
+    rows, columns = left + right, up + down
+    ridge = green > 0.25 * (rows + columns)
+    low = (rows + jnp.minimum(left, right)) < (columns + jnp.minimum(up, down))
+    high = (rows + jnp.maximum(left, right)) > (columns + jnp.maximum(up, down))
     vertical = materialize(jnp.where(ridge, low, high).astype(green.dtype))
     near = reduce(jnp.add, neighbours(vertical, CROSS))
     far = reduce(jnp.add, neighbours(vertical, _TWO_AWAY))

@@ -12,16 +12,17 @@ from jaxisp.arrays.planes import interleaved
 from jaxisp.cfa import Bayer, check_bayer
 from jaxisp.domains import CameraRGB, Mosaic
 from jaxisp.pipeline import register
-from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, neighbours, sites
+from jaxisp.stages.demosaic.common import CROSS, DIAGONALS, neighbours, paired_sum, sites
 
 _REACH = 4  # px to either side of the smoothing, and of the window that variances are taken over
-_TAPS = np.exp(-(np.arange(-_REACH, _REACH + 1.0) ** 2) / 8)
-_SMOOTH = tuple(float(t) for t in _TAPS / _TAPS.sum())
-_WINDOW = (1 / (2 * _REACH + 1),) * (2 * _REACH + 1)
+_TAPS = np.exp(-(np.arange(_REACH + 1.0) ** 2) / 8)
+_SMOOTH = tuple(float(t) for t in _TAPS / (2 * _TAPS.sum() - 1))
+_WINDOW = (1 / (2 * _REACH + 1),) * (_REACH + 1)
+"""Of the pixel itself, and of the two that are one to four pixels away."""
 _LEAST = 1e-7  # variance, of white squared
 
 
-@register(reach=14)
+@register(reach=14, symmetric=True)
 def demosaic_lmmse(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     """Estimate the difference of green from red and blue along rows and along columns, and fuse the two.
 
@@ -51,14 +52,12 @@ def demosaic_lmmse(image: Mosaic, *, cfa: Bayer = "RGGB") -> CameraRGB:
     (rows, off_rows), (columns, off_columns) = (_direction(at.green, image, h) for h in (True, False))
     difference = (off_columns * rows + off_rows * columns) / (off_rows + off_columns)
     known = materialize(jnp.where(at.green, 0, -difference))  # red or blue less green
-    a, b, c, d = neighbours(known, DIAGONALS)
-    opposite = materialize(0.25 * ((a + b) + (c + d)))
+    opposite = materialize(0.25 * paired_sum(neighbours(known, DIAGONALS)))
     green = image - known
 
     def everywhere(own: jax.Array) -> jax.Array:
         on_sites = materialize(jnp.where(own, known, opposite))
-        left, right, up, down = neighbours(on_sites, CROSS)
-        return jnp.where(at.green, 0.25 * ((left + right) + (up + down)), on_sites)
+        return jnp.where(at.green, 0.25 * paired_sum(neighbours(on_sites, CROSS)), on_sites)
 
     return interleaved([green + everywhere(at.red), green, green + everywhere(at.blue)])
 
@@ -71,8 +70,11 @@ def _direction(on_green: jax.Array, image: jax.Array, horizontal: bool) -> tuple
     rough = materialize(jnp.where(on_green, image - estimate, estimate - image))
 
     def along(plane: jax.Array, taps: tuple[float, ...]) -> jax.Array:
-        places = [(0, k) if horizontal else (k, 0) for k in range(-_REACH, _REACH + 1)]
-        return reduce(jnp.add, [t * v for t, v in zip(taps, neighbours(plane, places))])
+        # the two of a distance first, so that a mirror image has the same bits
+        places = [(0, s * k) if horizontal else (s * k, 0) for k in range(1, _REACH + 1) for s in (-1, 1)]
+        found = neighbours(plane, places)
+        pairs = [t * (a + b) for t, a, b in zip(taps[1:], found[::2], found[1::2], strict=True)]
+        return reduce(jnp.add, pairs, taps[0] * plane)
 
     smooth = materialize(along(rough, _SMOOTH))
     held, error = lax.stop_gradient((smooth, rough - smooth))
