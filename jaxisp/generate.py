@@ -6,7 +6,7 @@ import hashlib
 import os
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +35,8 @@ from jaxisp.io.files import (
 from jaxisp.io.images import read_image, size_of, write_png
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, Mixture, check_runs
-from jaxisp.process.memory import forget_beyond
-from jaxisp.recipe import Recipe
+from jaxisp.process.memory import Programs
+from jaxisp.recipe import Recipe, check_levels
 from jaxisp.recipes import RecipeLike, find_degradation
 from jaxisp.stages.draws import by_index
 
@@ -113,7 +113,6 @@ class Work:
     _digests: dict[Path, tuple[str, tuple[int, ...]]] = dataclasses.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
-    _sizes: set[Hashable] = dataclasses.field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
         check_whole("count", self.count, 1)
@@ -152,8 +151,8 @@ class Work:
         """Degrade these samples, those apart that are `done`; out of order where sizes differ.
 
         The device computes one batch while the one before it is used, and the next one read. Pictures of many
-        sizes share frames, where their results do not depend on it. After some sizes the programs of all are
-        forgotten, those of others in the process too: see `forget_compiled`.
+        sizes share frames, where their results do not depend on it. Where there are more than two sizes, all
+        that the process has compiled is forgotten, but for the programs of this work: see `Programs`.
         """
         key, before = jax.random.key(self.seed), None
         for batch in self._batches(which, outcome, done):
@@ -163,14 +162,18 @@ class Work:
                 filled, indices, sizes = _framed(images, indices, frame, self._at_once[frame])
             else:
                 filled, sizes = np.stack(images), None
-            forget_beyond(self._sizes, filled.shape)
             sizes = None if frame in self._frames.exact else sizes
-            noisy, _, params = self.degradation.degrade(key, filled, indices, sizes)
+            check_levels(filled, self.degradation.name)
+            noisy, _, params = self._programs(self.degradation, key, filled, indices, sizes)
             if before is not None:
                 yield from self._fetch(*before)
             before = batch, noisy, params
         if before is not None:
             yield from self._fetch(*before)
+
+    @functools.cached_property
+    def _programs(self) -> Programs:
+        return Programs(_degraded)
 
     @functools.cached_property
     def _frames(self) -> Frames:
@@ -289,6 +292,10 @@ def _size(image: np.ndarray) -> Size:
     return image.shape[0], image.shape[1]
 
 
+def _degraded(degradation: Degradation, *given: Any) -> Any:
+    return degradation.degrade(*given)
+
+
 def _framed(
     images: list[np.ndarray], indices: np.ndarray, frame: Size, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -299,7 +306,7 @@ def _framed(
     framed = np.zeros((count, *frame, 3), np.float32)
     for own, image in zip(framed, images):
         own[: image.shape[0], : image.shape[1]] = image
-    return framed, indices[rows], np.array([*map(_size, images)])
+    return framed, indices[rows], np.array([*map(_size, images)], np.int32)
 
 
 def _is_sound(path: Path) -> bool:

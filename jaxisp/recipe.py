@@ -232,7 +232,7 @@ class Recipe:
             start: the global index of the first image, or (N,) indices; from 0 to 2**31 - 1.
             sizes: (N, 2) rows and columns, where pictures of several sizes are the top left of their images,
                 which are larger by `margin`, or as large, along each axis. A picture comes out as it
-                would alone, to the bit; what is around it has no meaning.
+                would alone, to the bit; what is around it has no meaning. Traced ones are not checked.
 
         Returns:
             noisy (N, H, W, 3) float32 encoded sRGB, clean (the images), and the drawn parameters,
@@ -347,10 +347,11 @@ def extents_of(
     margin = max(filter(None, margins.values()), default=0)
     if not by_index(key):
         raise InputError(f"{who}: noise of pictures in larger images needs a key of Threefry")
-    given, frame = np.asarray(sizes), (images.shape[1], images.shape[2])
-    if given.shape != (len(images), 2) or not np.issubdtype(given.dtype, np.integer):
+    traced, frame = isinstance(sizes, jax.core.Tracer), (images.shape[1], images.shape[2])
+    given = sizes if traced else np.asarray(sizes)
+    if given.shape != (len(images), 2) or not jnp.issubdtype(given.dtype, jnp.integer):
         raise InputError(f"{who}: sizes are ({len(images)}, 2) rows and columns, got {short(given)}")
-    for height, width in np.unique(given, axis=0).tolist():
+    for height, width in () if traced else np.unique(given, axis=0).tolist():
         if not has_room((height, width), frame, margin):
             raise InputError(
                 f"{who}: a picture of {height} x {width} px in an image of {frame[0]} x {frame[1]}: a side "

@@ -435,6 +435,14 @@ def test_sizes_without_room_are_refused(recipe, sizes, told):
         find_recipe(recipe).degrade(jax.random.key(0), np.full((1, 16, 20, 3), 0.5, np.float32), 0, sizes)
 
 
+def test_sizes_may_be_traced():
+    recipe, images, sizes = RECIPES["awgn"](), np.full((2, 9, 12, 3), 0.5, np.float32), [[9, 7], [5, 12]]
+    traced = jax.jit(lambda sizes: recipe.degrade(KEY, images, 0, sizes)[0])(jnp.asarray(sizes))
+    np.testing.assert_array_equal(traced, recipe.degrade(KEY, images, 0, sizes)[0])
+    with pytest.raises(InputError, match=r"sizes are \(2, 2\) rows"):
+        jax.jit(lambda sizes: recipe.degrade(KEY, images, 0, sizes))(jnp.ones(2, int))
+
+
 def test_noise_of_other_keys_depends_on_the_frame():
     with pytest.raises(InputError, match="needs a key of Threefry"):
         images = np.full((1, 16, 20, 3), 0.5, np.float32)

@@ -44,7 +44,7 @@ def main() -> None:
         def tick(done: int, total: int) -> None:
             if done in (8, total) or done % 10 == 0:
                 cpu = time.process_time()
-                own = sum(program.name == "_degrade" for program in programs)
+                own = sum(program.name == "_degraded" for program in programs)
                 print(f"{done} {held():.0f} MB {own} of {len(programs)} programs {cpu:.0f} s", flush=True)
 
         degrade_files([inputs], Path(folder, "out"), RECIPES[arguments.recipe](), tick=tick)

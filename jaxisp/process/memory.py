@@ -11,7 +11,8 @@ should not change that by itself: a program that calls something many times on l
 import ctypes
 import gc
 import platform
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
+from typing import Any
 
 # glibc's malloc.h
 _TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8
@@ -60,7 +61,9 @@ def give_back() -> bool:
 
 
 MOST_SIZES = 8
-"""Sizes of pictures that a walk over files keeps programs of: those of a recipe take 6 to 42 MB a size."""
+"""Sizes of pictures that a walk over files keeps programs of."""
+FEW_SIZES = 2
+"""Of so many, all that JAX keeps may stay."""
 
 
 def forget_compiled() -> None:
@@ -81,14 +84,49 @@ def forget_compiled() -> None:
     give_back()
 
 
+class Programs:
+    """A function, compiled for each kind of arguments, of which nothing but the program is kept.
+
+    JAX keeps beside a program what it was traced and lowered to, ten times as large. From the third program
+    on that is forgotten, with all that others in the process have compiled (see `forget_compiled`). These
+    programs are, where there are `MOST_SIZES`.
+
+    Args:
+        fn: of arrays and pytrees of them.
+    """
+
+    def __init__(self, fn: Callable[..., Any]) -> None:
+        self._fn = fn
+        self._kept: dict[Hashable, Callable[..., Any]] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        import jax
+
+        leaves, tree = jax.tree.flatten(args)
+        kind = tree, tuple(map(jax.typeof, leaves))
+        if kind not in self._kept:
+            if len(self._kept) >= MOST_SIZES:
+                self._kept.clear()
+            self._kept[kind] = jax.jit(self._fn).lower(*args).compile()
+            if len(self._kept) > FEW_SIZES:
+                forget_compiled()
+        return self._kept[kind](*args)
+
+
 def forget_beyond(sizes: set[Hashable], size: Hashable) -> None:
     """Note that pictures of this size come next; `forget_compiled` where `MOST_SIZES` others came before.
+
+    What compiling took for the sizes before is given back to the system: twice to three times the programs.
 
     Args:
         sizes: those since programs were last forgotten; changed here.
         size: of the pictures that come.
     """
-    if size not in sizes and len(sizes) >= MOST_SIZES:
+    if size in sizes:
+        return
+    if len(sizes) >= MOST_SIZES:
         forget_compiled()
         sizes.clear()
+    else:
+        give_back()
     sizes.add(size)

@@ -91,9 +91,10 @@ def test_programs_that_are_forgotten_between_sizes_change_no_bit(tmp_path, monke
     whole, few, forgotten = tmp_path / "whole", tmp_path / "few", []
     degrade_files([tmp_path / "in"], whole, recipe, seed=1)
     monkeypatch.setattr(memory, "MOST_SIZES", 1)
+    monkeypatch.setattr(memory, "FEW_SIZES", 0)
     monkeypatch.setattr(memory, "forget_compiled", lambda: forgotten.append(jax.clear_caches()))
     degrade_files([tmp_path / "in"], few, recipe, seed=1)
-    assert len(forgotten) == 2 and contents(few) == contents(whole)
+    assert len(forgotten) == 3 and contents(few) == contents(whole)
 
 
 def test_pictures_of_many_sizes_do_not_pile_up(tmp_path, monkeypatch):
@@ -123,7 +124,7 @@ def test_pictures_of_many_sizes_share_programs(tmp_path, monkeypatch):
     alone, shared = tmp_path / "alone", tmp_path / "shared"
     with compile_times() as programs:
         assert degrade_files([tmp_path / "in"], shared, recipe, count=2, seed=1).images == 48
-    assert sum(program.name == "_degrade" for program in programs) <= MOST_FRAMES
+    assert sum(program.name == "_degraded" for program in programs) <= MOST_FRAMES
     monkeypatch.setattr(generate, "shared_frames", lambda *_: Frames())
     degrade_files([tmp_path / "in"], alone, recipe, count=2, seed=1)
     assert contents(shared) == contents(alone)

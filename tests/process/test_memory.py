@@ -5,6 +5,7 @@ import platform
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from jaxisp.process import memory
@@ -70,6 +71,23 @@ print((before - held()) / grown)
 def test_what_programs_held_is_given_back():
     run = subprocess.run([sys.executable, "-c", MANY_SIZES], capture_output=True, text=True, check=True)
     assert float(run.stdout) > 0.7
+
+
+def test_a_function_keeps_its_programs_where_all_is_forgotten():
+    traced = []
+
+    def twice(x):
+        traced.append(x.shape)
+        return 2 * x
+
+    programs, sizes = memory.Programs(twice), range(1, memory.MOST_SIZES + 1)
+    for _ in range(2):  # no size is compiled again
+        for n in sizes:
+            np.testing.assert_array_equal(programs(np.ones(n, np.float32)), 2)
+    assert traced == [(n,) for n in sizes]
+    programs(np.ones(n + 1, np.float32))
+    programs(np.ones(1, np.float32))
+    assert traced[n:] == [(n + 1,), (1,)]
 
 
 def test_programs_are_forgotten_after_some_sizes(monkeypatch):

@@ -82,8 +82,8 @@ def _seen(
 
 
 def _mean(first: jax.Array, second: jax.Array, lead: jax.Array) -> jax.Array:
-    """The first for a lead of 1, the second for one of -1. Give them stored: in a sum of two products one may be
-    rounded less."""
+    """The first for a lead of 1, the second for one of -1. Give them stored: in a sum of two products one may
+    be rounded less."""
     return 0.5 * ((first + second) + lead * (first - second))
 
 
