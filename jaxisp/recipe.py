@@ -348,7 +348,7 @@ def extents_of(
     if not by_index(key):
         raise InputError(f"{who}: noise of pictures in larger images needs a key of Threefry")
     traced, frame = isinstance(sizes, jax.core.Tracer), (images.shape[1], images.shape[2])
-    given = sizes if traced else np.asarray(sizes)
+    given: Any = sizes if traced else np.asarray(sizes)
     if given.shape != (len(images), 2) or not jnp.issubdtype(given.dtype, jnp.integer):
         raise InputError(f"{who}: sizes are ({len(images)}, 2) rows and columns, got {short(given)}")
     for height, width in () if traced else np.unique(given, axis=0).tolist():
