@@ -323,6 +323,7 @@ def _guided(plane: jax.Array, sigma: jax.Array, edge: float = _EDGE) -> jax.Arra
     return wide_blur(share, sigma) * plane + wide_blur((1 - share) * mean, sigma)
 
 
+@jax.jit  # traced once for all of a stage's
 def wide_blur(plane: jax.Array, sigma: jax.Array) -> jax.Array:
     """Gaussian mean of (H, W) for sigmas of 4 to 40 px, by way of the means of 4x4 blocks."""
     h, w = plane.shape
