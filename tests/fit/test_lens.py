@@ -1,5 +1,6 @@
 """Distortion and lateral colour: against the package's stages, SciPy, and a phone that corrects its lens."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from jaxisp.fit import fit_dataset
 from jaxisp.fit.align import Alignment, estimate
 from jaxisp.fit.lens import Lens, covered, lines, radial, warped
 from jaxisp.fit.model import LENS, start
-from jaxisp.pipeline import Chain, stage
+from jaxisp.pipeline import Chain, run, stage
 from jaxisp.samples import PHONES, phone, scene, write_pairs
 from jaxisp.stages.optics import GeometricDistortion, LateralChromaticAberration
 from jaxisp.testing import smooth_image
@@ -31,7 +32,7 @@ def displaced(image, lens, order=5):
 
 def laid(image, lens):
     (rows, columns), first, corner = lines(Alignment(), image.shape, image.shape)
-    return warped(jnp.float32(image), lens, jnp.asarray(rows), jnp.asarray(columns), first, corner)
+    return jax.jit(warped)(jnp.float32(image), lens, rows, columns, first, corner)
 
 
 def test_it_reads_where_the_stages_of_the_package_do():
@@ -44,7 +45,7 @@ def test_it_reads_where_the_stages_of_the_package_do():
     }
     chain = Chain(tuple(stage(name) for name in LENS), "lens")
     inside = (slice(6, -6), slice(6, -6))
-    np.testing.assert_allclose(laid(ramp, lens)[inside], chain(params, jnp.asarray(ramp))[inside], atol=2e-5)
+    np.testing.assert_allclose(laid(ramp, lens)[inside], run(chain, params, ramp)[inside], atol=2e-5)
     assert Lens.of(start() | params) == lens
     image = smooth_image((40, 51, 3))
     blurred = ndimage.gaussian_filter(image, (1.5, 1.5, 0))

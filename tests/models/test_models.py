@@ -130,9 +130,10 @@ def test_the_filters_of_weighnet_are_those_of_others(rng):
         wanted = gaussian_filter(
             picture, (sigma, sigma, 0), mode="reflect", truncate=np.ceil(3 * sigma) / sigma
         )
-        np.testing.assert_allclose(_blurred(jnp.asarray(picture), sigma), wanted, atol=1e-5)
+        blurred = jax.jit(_blurred, static_argnums=1)(picture, sigma)
+        np.testing.assert_allclose(blurred, wanted, atol=1e-5)
     scale = np.full(3, 0.2, np.float32)
-    found = np.asarray(_means(jnp.asarray(picture), jnp.broadcast_to(scale, picture.shape)))
+    found = np.asarray(jax.jit(_means)(picture, np.broadcast_to(scale, picture.shape)))
     padded = np.pad(picture, ((7, 7), (7, 7), (0, 0)), mode="symmetric")
     y, x = 11, 0
     sums, weights = np.zeros(3), 0.0
@@ -148,11 +149,11 @@ def test_the_filters_of_weighnet_are_those_of_others(rng):
 
 
 def test_weighnet_finds_white_noise_and_its_brightness(rng):
-    clean = np.full((1, 128, 128, 3), 0.25, np.float32)
+    net, clean = make_model("weighnet", **SMALL["weighnet"]), np.full((1, 128, 128, 3), 0.25, np.float32)
     clean[:, :, 64:] = 0.75
     std = np.where(clean < 0.5, 0.02, 0.06)
     noisy = clean + std * rng.standard_normal(clean.shape)
-    found = np.asarray(make_model("weighnet").noise_map(jnp.asarray(noisy, jnp.float32)))
+    found = np.asarray(nnx.jit(type(net).noise_map)(net, np.float32(noisy)))
     assert found.shape == (1, 8, 8, 3)
     np.testing.assert_allclose(found[0, :, :4, :2], 0.02, rtol=0.2)
     np.testing.assert_allclose(found[0, :, 4:, :2], 0.06, rtol=0.2)
@@ -177,7 +178,7 @@ def test_the_measured_map_is_the_noise_of_luma_and_of_chroma(rng):
     noise = np.zeros((1, 40, 64, 3), np.float32)
     noise[:, :, :32] = 0.1 * rng.standard_normal((1, 40, 32, 1))  # the same in all channels: luma alone
     noise[:, :16, 32:, 0], noise[:, :16, 32:, 2] = 0.114, -0.299  # no luma
-    found = np.asarray(measured_map(jnp.asarray(noise), jnp.zeros_like(noise)))
+    found = np.asarray(jax.jit(measured_map)(noise, np.zeros_like(noise)))
     assert found.shape == (1, 3, 4, 2)
     np.testing.assert_allclose(found[0, :2, :2, 0], 0.1, rtol=0.15)
     np.testing.assert_allclose(found[0, :2, :2, 1], 0, atol=1e-5)
@@ -188,7 +189,7 @@ def test_the_measured_map_is_the_noise_of_luma_and_of_chroma(rng):
 def test_the_statistics_of_cells_are_those_of_scipys_transforms(rng):
     """Bands of largest frequency, rows and columns apart; blocks of 8x8 every 4 px, also beyond the cell."""
     picture = rng.random((1, 32, 48, 3)).astype(np.float32)
-    found = np.asarray(cell_statistics(jnp.asarray(picture)))
+    found = np.asarray(jax.jit(cell_statistics)(picture))
     cell = np.pad(picture[0], ((0, 4), (0, 4), (0, 0)), mode="edge")[16:36, 32:52] @ _OPPONENT_UNIT.T
     blocks = [cell[y : y + 8, x : x + 8] for y in range(0, 16, 4) for x in range(0, 16, 4)]
     energies = np.asarray([dctn(block, axes=(0, 1), norm="ortho") ** 2 for block in blocks])
@@ -214,16 +215,16 @@ def test_the_map_is_learned_and_stays_learned_where_there_is_no_noise():
     clean = jnp.full((2, 32, 32, 3), 0.5)
     graph, state = nnx.split(model)
 
-    def slope(offset):
-        """Of the objective to the last bias, where all levels are told as `offset`."""
+    @jax.jit
+    def objective(state, bias):
         model = nnx.merge(graph, state)
         model.levels.kernel.set_value(jnp.zeros_like(model.levels.kernel[...]))
+        model.levels.bias.set_value(jnp.full_like(model.levels.bias[...], bias))
+        return model.objective(clean, clean, lambda x: x**2)
 
-        def objective(bias):
-            model.levels.bias.set_value(jnp.full_like(model.levels.bias[...], bias))
-            return model.objective(clean, clean, lambda x: x**2)
-
-        ahead, behind = (float(objective(jnp.float32(offset + d))) for d in (1e-2, -1e-2))
+    def slope(offset):
+        """Of the objective to the last bias, where all levels are told as `offset`."""
+        ahead, behind = (float(objective(state, jnp.float32(offset + d))) for d in (1e-2, -1e-2))
         return (ahead - behind) / 2e-2
 
     assert slope(0.3) > 0.02 and slope(-0.3) < -0.02 and abs(slope(0.0)) < 0.01
