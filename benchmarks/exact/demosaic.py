@@ -98,7 +98,7 @@ def ahd_libraw() -> Row:
     variant, paper = (f"{min(of):.1f} to {max(of):.1f} dB" for of in decibels)
     where = f"three photographs as DNG, inside of {libraw.BORDER} px"
     ran = f"{where}: {variant}; the default, which is the paper's rule, reaches {paper}"
-    reference = f"rawpy {rawpy.__version__}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
+    reference = f"rawpy {version('rawpy')}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
     name = 'demosaic_ahd(variant="libraw", delta=1)'
     return Row(name, reference, ran, min(decibels[0]), 45.0, "dB", at_least=True)
 
@@ -131,7 +131,7 @@ def markesteijn_libraw() -> Iterator[Row]:
     def span(of: list[float]) -> str:
         return f"{min(of):.1f} to {max(of):.1f}"
 
-    reference = f"rawpy {rawpy.__version__}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
+    reference = f"rawpy {version('rawpy')}, LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
     for passes in algorithms:
         near = f"{span(agreement[passes])} dB, with passes={4 - passes} {span(other[passes])}"
         own, libraws = span(truth[f"ours {passes}"]), span(truth[f"LibRaw {passes}"])

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 import pywt
 import scipy
-import skimage
 from scipy import ndimage
 from skimage.restoration import richardson_lucy
 
@@ -114,7 +113,7 @@ def deconvolution() -> Row:
         edge = 2 * iterations * radius
         worst.append(largest(np.asarray(got)[edge:-edge, edge:-edge], want[edge:-edge, edge:-edge]))
     ran = "1 to 5 iterations, sigma 0.6 to 1.6 px, waves with noise, without borders"
-    return Row("richardson_lucy", f"scikit-image {skimage.__version__}", ran, max(worst), 1e-5)
+    return Row("richardson_lucy", f"scikit-image {version('scikit-image')}", ran, max(worst), 1e-5)
 
 
 def shrunk(

@@ -2,11 +2,11 @@
 
 import functools
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from typing import Any
 
 import jax
 import numpy as np
-import skimage
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from benchmarks.exact.row import Row, largest
@@ -14,7 +14,7 @@ from jaxisp.metrics import psnr, ssim
 from jaxisp.testing import smooth_image
 from tests.test_metrics import SKIMAGE
 
-REFERENCE = f"scikit-image {skimage.__version__}"
+REFERENCE = f"scikit-image {version('scikit-image')}"
 RAN = "colour and grey, 33x18 to 129x193, noise of 0.01 and 0.05, bright and dark"
 
 

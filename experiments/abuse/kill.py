@@ -204,7 +204,7 @@ def campaign(name: str, times: int, seed: int, root: Path) -> dict[str, Any]:
         out = root / place
         out.mkdir()
         seconds = finish(job.command(out), root / f"{place}.log")
-        runs.append(in_child(lambda out=out: job.results(out)))  # type: ignore[misc]
+        runs.append(in_child(lambda out=out: job.results(out)))
     if runs[0] != runs[1]:
         raise SystemExit("two undisturbed runs differ")
     rng, kills, wrong = np.random.default_rng(seed), 0, []

@@ -11,10 +11,10 @@ from jaxisp.calibrate.noise import Calibrated
 from jaxisp.data.catalogue import read_sums
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, read_jpeg, read_raw
+from jaxisp.io.description import RawDescription
 from jaxisp.io.icc import by_tables, profile_space
 from jaxisp.io.libraw import embedded_jpeg
 from jaxisp.io.opcodes import GainMap, parse_opcodes, shading_gain
-from jaxisp.io.raw import RawDescription
 from jaxisp.io.settings import SettingsFile
 from jaxisp.models.files import read_arrays
 from jaxisp.recipe import Recipe

@@ -11,12 +11,9 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
-
-import jax
-import numpy as np
-import rawpy
 
 from experiments.fit_phones import intensity, iphone7, large, lens, libraw, phones, recovery, scenes
 from experiments.fit_phones.common import SEED, Run
@@ -45,7 +42,7 @@ def main() -> None:
     results = json.loads(path.read_text()) if path.exists() else {}
     for part, case, run in chosen({p: m.runs(arguments.data) for p, m in PARTS.items()}, arguments.only):
         results.setdefault(part, {})[case] = run()
-        results["versions"] = {"jax": jax.__version__, "numpy": np.__version__, "rawpy": rawpy.__version__}
+        results["versions"] = {name: version(name) for name in ("jax", "numpy", "rawpy")}
         path.write_text(json.dumps(results, indent=1) + "\n")
     path.with_suffix(".md").write_text(markdown(results))
     print(markdown(results))

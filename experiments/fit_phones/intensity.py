@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from experiments.fit_phones.common import SEED, Cases, Run, changed, fitted, noise_table, short
-from jaxisp.samples import PHONES, phone, scene, write_pairs
+from jaxisp.samples import PHONES, scene, write_pairs
+from jaxisp.samples.phone_filters import LUMA_FILTERS, gaussian
 
 
 def runs(data: Path | None) -> dict[str, Run]:
@@ -20,12 +21,14 @@ def by_intensity(fixed: tuple[str, ...]) -> dict[str, Any]:
     """A noisy phone a that smooths its shadows far less than its lights."""
     body = dataclasses.replace(PHONES["a"], iso=1600, luma_strength=0.05)
 
+    even = LUMA_FILTERS["bilateral"]
+
     def smooths(luma: np.ndarray, strength: float) -> np.ndarray:
-        low, high = (phone._bilateral(luma, s * strength) for s in (0.25, 2.0))
-        share = np.clip(phone._gaussian(luma, 4.0), 0, 1)
+        low, high = (even(luma, s * strength) for s in (0.25, 2.0))
+        share = np.clip(gaussian(luma, 4.0), 0, 1)
         return (1 - share) * low + share * high
 
-    with tempfile.TemporaryDirectory() as folder, changed(phone._LUMA_FILTERS, "bilateral", smooths):
+    with tempfile.TemporaryDirectory() as folder, changed(LUMA_FILTERS, "bilateral", smooths):
         write_pairs(folder, body, {"coffee": scene("coffee", 384)}, SEED)
         result = fitted("-".join(["intensity", *fixed]), folder, freeze=fixed)
     gamma = float(result.camera.prior["bilateral"].guide_gamma)

@@ -9,7 +9,8 @@ from scipy import ndimage
 
 from experiments.fit_phones.common import SEED, Cases, Run, changed, fitted, short
 from jaxisp.fit.lens import Lens
-from jaxisp.samples import PHONES, phone, scene, write_pairs
+from jaxisp.samples import PHONES, scene, write_pairs
+from jaxisp.samples.phone_filters import DEMOSAICKERS
 
 LENS = Lens(3.0 / 361, 0.0, 1 / (1 + 1.0 / 361), 1 / (1 - 0.8 / 361))
 
@@ -20,7 +21,7 @@ def runs(data: Path | None) -> dict[str, Run]:
 
 def corrects_its_lens() -> dict[str, Any]:
     """Phone a, with a step that bends its demosaicked picture, by SciPy's splines: 512x512."""
-    plain = phone._DEMOSAICKERS["gradient"]
+    plain = DEMOSAICKERS["gradient"]
 
     def bends(raw: np.ndarray, filters: np.ndarray) -> np.ndarray:
         image = plain(raw, filters)
@@ -33,7 +34,7 @@ def corrects_its_lens() -> dict[str, Any]:
             [ndimage.map_coordinates(image[..., c], places[c], mode="nearest") for c in range(3)], -1
         )
 
-    with tempfile.TemporaryDirectory() as folder, changed(phone._DEMOSAICKERS, "gradient", bends):
+    with tempfile.TemporaryDirectory() as folder, changed(DEMOSAICKERS, "gradient", bends):
         write_pairs(folder, PHONES["a"], {"astronaut": scene("astronaut", 512)}, SEED)
         result = fitted("lens", folder)
     return {"true_px": LENS.in_the_corner(2 * 255.5**2), "found_px": result.lens_px, **short(result)}

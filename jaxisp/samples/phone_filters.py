@@ -67,11 +67,11 @@ DEMOSAICKERS = {"bilinear": _bilinear, "gradient": _gradient_corrected, "directi
 
 
 def denoise(camera: np.ndarray, luma_filter: str, strength: float, chroma_sigma: float) -> np.ndarray:
-    """Luma by a filter of `_LUMA_FILTERS` and chroma by a blur, on square roots, where shot noise is even."""
+    """Luma by a filter of `LUMA_FILTERS` and chroma by a blur, on square roots, where shot noise is even."""
     rooted = np.sqrt(np.clip(camera, 0, None))
     luma = rooted @ LUMA
     chroma = [gaussian(rooted[..., c] - luma, chroma_sigma) for c in (0, 2)]
-    luma = _LUMA_FILTERS[luma_filter](luma, strength)
+    luma = LUMA_FILTERS[luma_filter](luma, strength)
     red, blue = luma + chroma[0], luma + chroma[1]
     green = (luma - LUMA[0] * red - LUMA[2] * blue) / LUMA[1]
     return np.clip(np.stack([red, green, blue], -1), 0, None) ** 2
@@ -103,4 +103,4 @@ def _wiener(plane: np.ndarray, strength: float) -> np.ndarray:
     return mean + np.clip(1 - strength**2 / variance, 0, 1) * (plane - mean)
 
 
-_LUMA_FILTERS = {"bilateral": _bilateral, "wiener": _wiener, "gaussian": gaussian}
+LUMA_FILTERS = {"bilateral": _bilateral, "wiener": _wiener, "gaussian": gaussian}
