@@ -134,6 +134,14 @@ def test_a_folder_of_ones_own(tmp_path):
     write(a="one", b="two")
     write(a="three")
     assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["a", "deep", "list.json"]
+    (tmp_path / "out" / "mine" / "deep").mkdir(parents=True)  # of the user's own, and empty
+    write(a="four")
+    assert (tmp_path / "out" / "mine" / "deep").is_dir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out" / "link").symlink_to("../elsewhere")
+    with pytest.raises(InputError, match="out: holds link, which is none of the files"):
+        write(c="five")
+    (tmp_path / "out" / "link").unlink()
     for name in ("deep/mine", "deep/a"):
         (tmp_path / "out" / name).write_text("mine")
         with pytest.raises(InputError, match=f"out: holds {name}, which is none of the files written here"):

@@ -139,7 +139,7 @@ def own_folder(place: PathLike, name: str) -> Iterator[Path]:
         with writing(folder):
             for path in there:
                 path.unlink()
-            for base, _, _ in sorted(os.walk(folder), reverse=True):
+            for base in sorted({base for path in there for base in path.parents if folder in base.parents}):
                 with contextlib.suppress(OSError):  # it has something in it
                     os.rmdir(base)
         try:

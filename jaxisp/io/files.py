@@ -451,10 +451,15 @@ def list_folder(folder: PathLike) -> list[Path]:
 
 
 def files_below(path: Path) -> list[Path]:
-    """All files of a folder and those below it, hidden ones too, sorted; or the file itself."""
+    """All files of a folder and those below it, hidden ones and links to folders too, sorted; or the file
+    itself."""
     if not os.path.isdir(path):
         return [path] if os.path.lexists(path) else []
-    return sorted(Path(base, name) for base, _, names in os.walk(path) for name in names)
+    found = []
+    for base, folders, names in os.walk(path):
+        links = [name for name in folders if os.path.islink(Path(base, name))]
+        found += [Path(base, name) for name in (*names, *links)]
+    return sorted(found)
 
 
 def _walk(folder: Path, *, recursive: bool) -> tuple[list[Path], list[OSError]]:
