@@ -37,7 +37,7 @@ from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, Mixture, check_runs
 from jaxisp.process.memory import Programs
 from jaxisp.recipe import Recipe, check_levels
-from jaxisp.recipes import RecipeLike, find_degradation
+from jaxisp.recipes import RecipeLike, find_degradation, recipe_files
 from jaxisp.stages.draws import by_index
 
 BATCH_PIXELS = 2_000_000
@@ -138,8 +138,8 @@ class Work:
 
     @functools.cached_property
     def inputs_real(self) -> frozenset[str]:
-        """The inputs without links, which no output may replace."""
-        return real_paths(self.paths)
+        """The inputs without links, the recipe's file too, which no output may replace."""
+        return real_paths([*self.paths, *recipe_files(self.recipe)])
 
     def sample(self, k: int) -> Sample:
         path, version = self.paths[k // self.count], k % self.count

@@ -372,6 +372,15 @@ def find_degradation(recipe: RecipeLike, *, phases: bool = False) -> Degradation
     return find_recipe(name, phases=phases)
 
 
+def recipe_files(recipe: RecipeLike) -> list[str]:
+    """Where what `find_degradation` takes may be read from: names of files, there or not."""
+    if not isinstance(recipe, str | Path):
+        return []
+    name = str(recipe)
+    own = [part.rpartition("=")[0].strip() for part in name.split(",")] if "=" in name else []
+    return [text.removesuffix(PHASES) for text in (name, *own) if text]
+
+
 def load_degradation(path: str | Path) -> Degradation:
     """The recipe or the mixture in a TOML file. Raises InputError where there is none."""
     return read_degradation(read_text(path), str(path))

@@ -4,6 +4,7 @@ import hashlib
 import os
 import shutil
 import stat
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from jaxisp.data import shards
 from jaxisp.data.catalogue import SETS, SUMS, RemoteFile
 from jaxisp.io import write_png
 from jaxisp.io.locks import locked
+from jaxisp.recipes import RECIPES
 from jaxisp.samples import PHONES, scenes, write_pairs
 from jaxisp.testing import smooth_image
 from tests.calibrate import sensor
@@ -191,13 +193,23 @@ def test_no_result_replaces_an_input(inputs, capsys):
     for name in ("a.png", "b.png", "a_000.clean.png"):
         write_png(pictures / name, smooth_image((24, 30, 3), len(name)))
     np.save(pictures / "b.npy", smooth_image((24, 30, 3), 9).astype(np.float32))
+    (pictures / "b_000.toml").write_text(RECIPES["awgn"]().to_toml())
     before = everything(inputs)
-    for command in ("denoise --run run out -o out", "degrade out -o out --recipe awgn"):
+    for command in (
+        "denoise --run run out -o out", "degrade out -o out --recipe awgn",
+        "degrade out/b.png -o out --recipe out/b_000.toml",
+        "degrade out/b.png -o out --recipe out/b_000.toml=0.5,clean=0.5",
+    ):  # fmt: skip
         assert main(command.split()) == 2
         assert "is an input" in capsys.readouterr().err
         assert unchanged(before, inputs) == {}
+    (inputs / "noisy").mkdir()
+    write_png(inputs / "noisy" / "a.png", smooth_image((24, 30, 3)))
+    shutil.copy(resources.files("jaxisp.models") / "general.npz", inputs / "weights.npz")
     for command in ("recipe cameras/a.toml -o cameras/../cameras/a.toml", "fit pairs -o pairs/dataset.toml",
         "fit pairs -o pairs/scene0.dng", "fit pairs -o new.toml --recipe pairs/scene0.jpg",
+        "develop pairs/scene0.dng -o camera.png --camera camera.png",
+        "adapt noisy -o weights.npz --start weights.npz --run tuned",
     ):  # fmt: skip
         (inputs / "pairs" / "dataset.toml").write_text('camera = "a"\n')
         before = everything(inputs)

@@ -71,8 +71,9 @@ def run(arguments: Namespace) -> int:
     use_cores()
     from jaxisp.data.procedural import DRAWN
     from jaxisp.io.files import filled_file, filled_folder, find_images
-    from jaxisp.recipes import PHASES
+    from jaxisp.recipes import recipe_files
     from jaxisp.train.finetune import beginning, clean_from, fine_tune
+    from jaxisp.train.folder import CONFIG, RECIPE
 
     pictures = find_images([*arguments.noisy, *(arguments.clean or [])], recursive=True)
     find = _from_pairs if _are_pairs(arguments) else _from_pictures
@@ -82,8 +83,10 @@ def run(arguments: Namespace) -> int:
             stack.enter_context(beginning(arguments.start))
         elif arguments.start or arguments.steps:
             raise InputError("--start and --steps say how a network is trained: give --run RUN too")
-        recipes = [arguments.recipe.removesuffix(PHASES)] if arguments.recipe else []
-        stack.enter_context(filled_file(arguments.out, [*pictures, *recipes]))
+        own = [*recipe_files(arguments.recipe), *([arguments.start] if arguments.start else [])]
+        if arguments.folder:  # that of the run is another file
+            own += [os.path.join(arguments.folder, name) for name in (CONFIG, RECIPE)]
+        stack.enter_context(filled_file(arguments.out, [*pictures, *own]))
         tick = stack.enter_context(progress("adapting"))
         recipe, table, lines, skipped = find(arguments, tick)
         recipe.save(arguments.out)

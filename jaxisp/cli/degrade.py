@@ -41,10 +41,8 @@ def add_commands(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     if arguments.shard is not None and not arguments.shards:
         raise InputError("--shard needs --shards N, the number of all shards")
-    from jaxisp.recipes import find_degradation
-
     with progress("degrading") as tick:
-        done = _degrade(arguments, find_degradation(arguments.recipe), tick)
+        done = _degrade(arguments, tick)
     result = done.as_dict()
     if arguments.json:
         print_json(result)
@@ -55,16 +53,16 @@ def run(arguments: Namespace) -> int:
     return report_failures(done.failed)
 
 
-def _degrade(arguments: Namespace, recipe: Any, tick: Any) -> Any:
+def _degrade(arguments: Namespace, tick: Any) -> Any:
     from jaxisp.generate import Work, degrade_files
 
     options = {"count": arguments.count, "seed": arguments.seed, "start": arguments.start}
     if not arguments.shards:
         return degrade_files(
-            arguments.inputs, arguments.out, recipe, **options, resume=arguments.resume, tick=tick
+            arguments.inputs, arguments.out, arguments.recipe, **options, resume=arguments.resume, tick=tick
         )
     from jaxisp.data.shards import degrade_shards, parse_shards
 
     only = parse_shards(arguments.shard, arguments.shards) if arguments.shard is not None else None
-    work = Work(arguments.inputs, recipe, **options)
+    work = Work(arguments.inputs, arguments.recipe, **options)
     return degrade_shards(work, arguments.out, arguments.shards, only=only, tick=tick)

@@ -26,7 +26,8 @@ def run(arguments: Namespace) -> int:
 
     if not arguments.out.lower().endswith(".png"):
         raise InputError(f"{arguments.out}: only PNG is written; give it a name that ends in .png")
-    with filled_file(arguments.out, [arguments.raw]):
+    inputs = [arguments.raw, arguments.camera] if arguments.camera else [arguments.raw]
+    with filled_file(arguments.out, inputs):
         return _render(arguments)
 
 
