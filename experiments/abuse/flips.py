@@ -14,7 +14,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from jaxisp.data.shard_source import read_manifest, shard_name, stands
+from jaxisp.data.shard_source import read_manifest, shard_name, stands, told_of
 from jaxisp.data.shards import degrade_shards
 from jaxisp.errors import InputError
 from jaxisp.fit.journal import Journal
@@ -46,7 +46,8 @@ def cases(root: Path) -> Iterator[Case]:
     try:
         degrade_shards(work, root / "shards", 1)
         shard = [p for p in files_below(root / "shards") if p.name.startswith("shard-")]
-        yield "shards", shard, lambda: stands(root / "shards", shard_name(0, 1))
+        told = told_of(read_manifest(root / "shards"), 0)
+        yield "shards", shard, lambda: stands(root / "shards", shard_name(0, 1), told)
         manifest = root / "shards" / "manifest.json"
         yield "manifest", [manifest], lambda: _reads(lambda: read_manifest(root / "shards"))
     except InputError:  # array_record is not installed

@@ -3,6 +3,7 @@
 import io
 import os
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +37,20 @@ def read_note(out: Path, name: str) -> dict[str, Any] | None:
     return note if sound and numbers else None
 
 
-def stands(out: Path, name: str) -> bool:
-    """Whether a shard is, to the bit, what was written."""
+def told_of(plan: Mapping[str, Any], shard: int) -> dict[str, Any]:
+    """What of a manifest a shard's note repeats, so that it is taken for no other shard's or set's."""
+    keys = ("recipe_sha256", "seed", "start", "count", "samples", "shards")
+    return {"shard": shard} | {key: plan.get(key) for key in keys}
+
+
+def stands(out: Path, name: str, told: Mapping[str, Any]) -> bool:
+    """Whether a shard is, to the bit, what was written of that."""
     note = read_note(out, name)
-    return note is not None and is_file_of(out / f"{name}.array_record", note["sha256"])
+    return (
+        note is not None
+        and note.get("of") == told
+        and is_file_of(out / f"{name}.array_record", note["sha256"])
+    )
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:
@@ -90,7 +101,11 @@ class ShardSource:
         self.folder, self.manifest = Path(folder), read_manifest(folder)
         count = self.manifest["shards"]
         names = [shard_name(s, count) for s in range(count)]
-        told = {name: note for name in names if (note := read_note(self.folder, name))}
+        told = {}
+        for s, name in enumerate(names):
+            note, own = read_note(self.folder, name), told_of(self.manifest, s)
+            if note and note.get("of", own) == own:  # notes of earlier versions do not say it
+                told[name] = note
         missing = [
             s
             for s, name in enumerate(names)

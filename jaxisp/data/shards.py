@@ -26,6 +26,7 @@ from jaxisp.data.shard_source import (
     read_manifest,
     shard_name,
     stands,
+    told_of,
 )
 from jaxisp.errors import InputError, one_line, short
 from jaxisp.generate import Degraded, Outcome, Tick, Work
@@ -84,11 +85,12 @@ def degrade_shards(
         raise InputError(f"only = {short(wrong)}: shards are counted from 0 to {shards - 1}")
     with locked(out, shared=True):
         with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
-            _write_plan(work, out, shards, numbers)
+            plan = _write_plan(work, out, shards, numbers)
         total = sum(len(_range(work, s, shards)) for s in numbers)
         for shard in numbers:
             with locked(out, name=f".{shard_name(shard, shards)}.lock"):
-                _write_shard(work, out, shard, shards, outcome, lambda done: tick(done, total))
+                told = told_of(plan, shard)
+                _write_shard(work, out, told, outcome, lambda done: tick(done, total))
     outcome.seconds = time.perf_counter() - clock
     return outcome
 
@@ -97,8 +99,8 @@ def _range(work: Work, shard: int, shards: int) -> range:
     return range(len(work) * shard // shards, len(work) * (shard + 1) // shards)
 
 
-def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
-    """The manifest that all shards have in common; it must be that of the shards that stand there.
+def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> dict[str, Any]:
+    """Write the manifest that all shards have in common; it must be that of the shards that stand there.
 
     Who writes it takes the digests of all inputs; others those of the inputs of their own shards.
     """
@@ -130,14 +132,16 @@ def _write_plan(work: Work, out: Path, shards: int, numbers: list[int]) -> None:
                 }
                 what = other.get(key, f"{key} = {before.get(key)!r}, not {plan[key]!r}")
                 raise InputError(f"{out}: holds shards of {what}; choose another folder")
-        return
     write_new(out / RECIPE, work.degradation.to_toml())
-    write_text(out / MANIFEST, sealed_json(json.dumps(plan, indent=1)))
+    if not before:
+        write_text(out / MANIFEST, sealed_json(json.dumps(plan, indent=1)))
+    return plan
 
 
-def _write_shard(work: Work, out: Path, shard: int, shards: int, outcome: Outcome, tick: Any) -> None:
-    name, which = shard_name(shard, shards), _range(work, shard, shards)
-    if stands(out, name):
+def _write_shard(work: Work, out: Path, told: dict[str, Any], outcome: Outcome, tick: Any) -> None:
+    """Write a shard, or keep it; `told` is what its note says it is of."""
+    name, which = shard_name(told["shard"], told["shards"]), _range(work, told["shard"], told["shards"])
+    if stands(out, name, told):
         outcome.kept += len(which)
         tick(outcome.images + outcome.kept)
         return
@@ -161,8 +165,9 @@ def _write_shard(work: Work, out: Path, shard: int, shards: int, outcome: Outcom
             if not whole or _count(place) != len(indices):
                 raise OSError(0, "the disk may be full")
     outcome.failed += own.failed
-    told = {"bytes": path.stat().st_size, "sha256": digest_of(path), "indices": indices, "failed": own.failed}
-    write_text(note, sealed_json(json.dumps(told)))  # the last: where it stands the shard is whole
+    size, digest = path.stat().st_size, digest_of(path)
+    said = {"of": told, "bytes": size, "sha256": digest, "indices": indices, "failed": own.failed}
+    write_text(note, sealed_json(json.dumps(said)))  # the last: where it stands the shard is whole
 
 
 @contextlib.contextmanager

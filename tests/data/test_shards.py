@@ -97,6 +97,33 @@ def test_shards_of_something_else_are_refused(photos, written):
         ShardSource(photos)
 
 
+def test_shards_of_other_places_and_sets_are_made_anew(photos, tmp_path):
+    def parts(folder, shard):
+        return [folder / f"{shard_name(shard, 3)}{end}" for end in (".array_record", ".json")]
+
+    def put(folder, taken):
+        """In the place of shards those of a folder."""
+        held = {s: [path.read_bytes() for path in parts(folder, other)] for s, other in taken.items()}
+        for shard, own in held.items():
+            for path, data in zip(parts(tmp_path / "own", shard), own):
+                path.write_bytes(data)
+
+    own, other = tmp_path / "own", tmp_path / "other"
+    degrade_shards(work(photos), own, 3)
+    degrade_shards(work(photos, seed=6), other, 3)
+    whole = [record["noisy"] for record in ShardSource(own)]
+    for folder, taken in ((other, {1: 1}), (own, {0: 1, 1: 0}), (own, {2: 0})):
+        put(folder, taken)
+        with pytest.raises(InputError, match=f"{len(taken)} of 3 shards are missing"):
+            ShardSource(own)
+        degrade_shards(work(photos), own, 3)
+        for record, noisy in zip(ShardSource(own), whole, strict=True):
+            np.testing.assert_array_equal(record["noisy"], noisy)
+    (own / "recipe.toml").write_text("another")
+    with pytest.raises(InputError, match=r"recipe\.toml: stands there already"):
+        degrade_shards(work(photos), own, 3)
+
+
 def test_damage_is_found(photos, tmp_path):
     degrade_shards(work(photos), tmp_path, 1)
     path = tmp_path / f"{shard_name(0, 1)}.array_record"
