@@ -31,6 +31,7 @@ def main() -> int:
         from jaxisp.cli import main as command
 
         status = command()
+        signals.close()
     except BaseException:
         if signals.came() is None:
             raise

@@ -104,6 +104,13 @@ def tell() -> None:
         os.write(_watch.errors, LINE.encode() + b"\n")
 
 
+def close() -> None:
+    """Take no more signals: all is done. While Python ends they would kill it, as nobody takes them then."""
+    if _watch.on:
+        for number in _ENDING:
+            signal.signal(number, signal.SIG_IGN)
+
+
 def leave(status: int) -> None:
     """End the process at once: what others registered for its end may wait for threads that compute."""
     with contextlib.suppress(Exception):

@@ -123,6 +123,25 @@ raise SystemExit(process.main())
     assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
 
 
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_signal_after_all_is_done_changes_nothing(number):
+    """Also while Python ends: what it holds is let go after its handlers of signals are."""
+    program = f"""
+import os, sys
+class Last:
+    kill, own = os.kill, os.getpid()
+    def __del__(self):
+        self.kill(self.own, {int(number)})
+sys.modules["last"] = Last()
+from jaxisp import __main__ as process
+raise SystemExit(process.main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, "recipes", "awgn"], capture_output=True, text=True, timeout=20
+    )
+    assert done.returncode == 0 and done.stderr == "" and "gaussian_noise" in done.stdout
+
+
 @pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
 def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
     (tmp_path / "in").mkdir()
