@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxisp.cfa import XTRANS
 from jaxisp.pipeline import run, stage
 from jaxisp.stages.choice import DEMOSAICKERS, FARTHEST, Demosaicking
 from jaxisp.stages.resampling import Rescaling
@@ -60,4 +61,5 @@ def test_a_mix_of_two_looks_as_far_as_the_farthest_of_all():
         own, given = options.get(name, (name, {}))
         reaches.append(stage(f"demosaic_{own}", **given).reach)
     assert stage("demosaicking", partner="rcd").reach == FARTHEST == max(reaches)
-    assert stage("demosaicking").reach is None
+    assert stage("demosaicking").reach == FARTHEST
+    assert stage("demosaicking", cfa=XTRANS, algorithm="markesteijn").reach is None
