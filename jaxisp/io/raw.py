@@ -195,6 +195,8 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: 
     notes: list[str] = []
     tell = notes.append
     dng_layout.check_dng(tags, path, tell)
+    for code in tags.unread:
+        tell(f"tag {code} states a value that is not in the file: it is left out")
     area = dng_layout.active_area(tags, path)
     active = area[2] - area[0], area[3] - area[1]
     crop = dng_layout.default_crop(tags, active, path, tell)

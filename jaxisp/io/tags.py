@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,12 +69,14 @@ _MOST_DIRECTORIES = 100
 class DngTags:
     """Tags of the first directory and of the one that holds the RAW pixels, by number.
 
-    `byteorder` is that of the file, "<" or ">".
+    `byteorder` is that of the file, "<" or ">"; `unread` are the numbers of tags that stand in either, and
+    whose values do not, as in a file that was cut.
     """
 
     main: dict[int, Any]
     raw: dict[int, Any]
     byteorder: str = "<"
+    unread: tuple[int, ...] = ()
 
     @property
     def is_dng(self) -> bool:
@@ -127,12 +130,25 @@ def read_tags(path: Path) -> DngTags | None:
         with quiet_tifffile(), tifffile.TiffFile(path) as tif:
             pages = list(_walk(tif.pages, set()))
             directories = [{t.code: _value(t) for t in page.tags if t.code in _WANTED} for page in pages]
+            stated = [_codes(page) & _WANTED for page in pages]
             byteorder = tif.byteorder
     except Exception:  # a parser on arbitrary bytes: any error means the same
         return None
     if not directories:
         return None
-    return DngTags(directories[0], max(directories, key=_rawness), byteorder)
+    which = max(range(len(directories)), key=lambda i: _rawness(directories[i]))
+    unread = {code for i in (0, which) for code in stated[i] - set(directories[i])}
+    return DngTags(directories[0], directories[which], byteorder, tuple(sorted(unread)))
+
+
+def _codes(page: Any) -> set[int]:
+    """The numbers in a directory, of tags too that tifffile leaves out since it cannot read their values."""
+    file, tiff = page.parent.filehandle, page.parent.tiff
+    file.seek(page.offset)
+    (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
+    entries = file.read(count * tiff.tagsize)
+    places = range(0, len(entries) - 1, tiff.tagsize)
+    return {struct.unpack_from(tiff.byteorder + "H", entries, place)[0] for place in places}
 
 
 def _walk(pages: Any, seen: set[int]) -> Iterator[Any]:

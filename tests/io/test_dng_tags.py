@@ -253,6 +253,19 @@ def test_colours_that_are_not_stated_are_told(tmp_path):
     assert read_raw(path).notes == ("it states no white balance",)
 
 
+def test_a_value_that_is_not_in_the_file_is_told(tmp_path):
+    path = dng(tmp_path / "a.dng", extra_tags=[(51041, 12, 2, (1e-4, 1e-6))])
+    whole, data = read_raw(path), bytearray(path.read_bytes())
+    entry = data.index(struct.pack("<HHL", 51041, 12, 2))
+    assert whole.notes == () and whole.noise_profile is not None
+    for place in (0xFFFFFFFF, len(data) - 1):
+        data[entry + 8 : entry + 12] = struct.pack("<L", place)
+        path.write_bytes(data)
+        cut = read_raw(path)
+        assert cut.notes == ("tag 51041 states a value that is not in the file: it is left out",)
+        assert cut.noise_profile is None
+
+
 def test_a_plain_file_has_no_notes(tmp_path):
     extra = [(50717, 4, 1, 1024), (51125, 5, 4, (0, 1, 0, 1, 1, 1, 1, 1)), (50730, 10, 1, (0, 0))]
     assert read_raw(dng(tmp_path / "a.dng")).notes == ()
