@@ -135,6 +135,11 @@ def test_a_folder_of_ones_own(tmp_path):
     write(a="three")
     assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["a", "deep", "list.json"]
     (tmp_path / "out" / "mine" / "deep").mkdir(parents=True)  # of the user's own, and empty
+    with own_folder(tmp_path / "new", "list.json") as folder:
+        (folder / "two" / "deep").mkdir(parents=True)
+        (folder / "two" / "deep" / "a").write_text("a")
+    with own_folder(tmp_path / "new", "list.json") as folder:
+        assert not (folder / "two").exists()
     write(a="four")
     assert (tmp_path / "out" / "mine" / "deep").is_dir()
     (tmp_path / "elsewhere").mkdir()

@@ -139,7 +139,8 @@ def own_folder(place: PathLike, name: str) -> Iterator[Path]:
         with writing(folder):
             for path in there:
                 path.unlink()
-            for base in sorted({base for path in there for base in path.parents if folder in base.parents}):
+            below = {base for path in there for base in path.parents if folder in base.parents}
+            for base in sorted(below, reverse=True):
                 with contextlib.suppress(OSError):  # it has something in it
                     os.rmdir(base)
         try:

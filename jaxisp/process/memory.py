@@ -87,8 +87,8 @@ def forget_compiled() -> None:
 class Programs:
     """A function, compiled for each kind of arguments, of which nothing but the program is kept.
 
-    JAX keeps beside a program what it was traced and lowered to, ten times as large. From the third program
-    on that is forgotten, with all that others in the process have compiled (see `forget_compiled`). These
+    JAX keeps beside a program what it was traced and lowered to. From the third program on that is forgotten,
+    with all that others in the process have compiled (see `forget_compiled`). These
     programs are, where there are `MOST_SIZES`.
 
     Args:
