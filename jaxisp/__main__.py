@@ -34,6 +34,7 @@ def main() -> int:
         signals.close()
     except BaseException:
         if signals.came() is None:
+            signals.close()
             raise
         status = 1
     number = signals.came()

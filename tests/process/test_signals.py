@@ -123,8 +123,9 @@ raise SystemExit(process.main())
     assert (done.returncode, done.stderr, done.stdout) == (ENDINGS[number], LINE + "\n", "")
 
 
+@pytest.mark.parametrize(("words", "status"), [(["recipes", "awgn"], 0), (["recipes", "--nonsense"], 2)])
 @pytest.mark.parametrize("number", ENDINGS)
-def test_a_signal_after_all_is_done_changes_nothing(number):
+def test_a_signal_after_all_is_done_changes_nothing(number, words, status):
     """Also while Python ends: what it holds is let go after its handlers of signals are."""
     program = f"""
 import os, sys
@@ -136,10 +137,9 @@ sys.modules["last"] = Last()
 from jaxisp import __main__ as process
 raise SystemExit(process.main())
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program, "recipes", "awgn"], capture_output=True, text=True, timeout=20
-    )
-    assert done.returncode == 0 and done.stderr == "" and "gaussian_noise" in done.stdout
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=20)
+    assert done.returncode == status and LINE not in done.stderr
+    assert (done.stderr == "") == (status == 0) and ("gaussian_noise" in done.stdout) == (status == 0)
 
 
 @pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
