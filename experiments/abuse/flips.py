@@ -61,7 +61,7 @@ def cases(root: Path) -> Iterator[Case]:
     yield "settings of a run", files_below(run), lambda: _reads(lambda: load_settings(run))
     weights = {"weights": jnp.asarray(rng.normal(size=(40, 30)), jnp.float32)}
     state = State(jnp.asarray(3), weights, {}, {"mean": jnp.ones(7)}, None)
-    store = Checkpoints(run)
+    store = Checkpoints(run, "a run")
     store.save(state, None)
     kept = files_below(run / "checkpoints" / "last" / "3")
     yield "checkpoint", kept, lambda: _reads(lambda: store.restore(state))

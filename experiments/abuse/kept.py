@@ -43,7 +43,7 @@ def _folder() -> Path:
     rng = np.random.default_rng(1)
     state = FitState(rng.normal(size=9), (rng.normal(size=9),), ())
     Journal.open(root / "c.toml.partial", "a fit").put("job", state, False)
-    store = Checkpoints(root)
+    store = Checkpoints(root, "a run")
     store.save(_state(), 20.0)
     store.close()
     (root / "checkpoints" / "last" / "3" / DIGESTS).unlink()
@@ -132,7 +132,7 @@ def checkpoint(path: Path) -> None:
     """The first byte says which file of the checkpoint the others are."""
     data, files = path.read_bytes() or b"\0", _checkpoint_files()
     with _replaced(files[data[0] % len(files)], data[1:]), _named(path):
-        store = Checkpoints(_folder(), reading=True)
+        store = Checkpoints(_folder(), "a run", reading=True)
         try:
             store.restore(_state())
         finally:

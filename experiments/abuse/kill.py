@@ -84,7 +84,7 @@ class Job:
         if self.name == "train" and (out / "config.toml").exists():
             from jaxisp.train.checkpoints import Checkpoints
 
-            Checkpoints(out, reading=True).close()
+            Checkpoints(out, "a run", reading=True).close()
 
 
 def _digest(data: bytes) -> str:

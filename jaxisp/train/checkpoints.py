@@ -2,6 +2,8 @@
 
 import contextlib
 import datetime
+import hashlib
+import json
 import logging
 import shutil
 import tempfile
@@ -11,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxisp.errors import InputError, one_line
-from jaxisp.io.digests import changed_files, note_files
+from jaxisp.io.digests import changed_files, is_sealed, note_files, sealed_json
 from jaxisp.io.files import reason
 from jaxisp.io.silence import silent_libraries
 from jaxisp.process import signals
@@ -35,10 +38,12 @@ class Checkpoints:
     """The checkpoints of a run, by step, in RUN/checkpoints/last and RUN/checkpoints/best.
 
     A checkpoint is written into a temporary folder that is renamed when it is whole, and older ones are
-    deleted after that: whatever kills the process, the last whole one stands.
+    deleted after that: whatever kills the process, the last whole one stands. Its notes, which become whole with
+    it, hold the digest of its arrays and which run it is of: what does not match is as if it were not there.
 
     Args:
         run: the folder of the run.
+        of: what the run was told (`folder.settings_digest`).
         keep: checkpoints kept besides the best.
         reading: leave the folder as it is, where another process may be training into it. A trainer makes
             its folders, and deletes what a killed one left half written.
@@ -47,8 +52,8 @@ class Checkpoints:
         InputError: the folders cannot be made, or read.
     """
 
-    def __init__(self, run: Path, keep: int = 2, *, reading: bool = False) -> None:
-        self.run = run
+    def __init__(self, run: Path, of: str, keep: int = 2, *, reading: bool = False) -> None:
+        self.run, self.of = run, of
         logging.getLogger("absl").addFilter(_is_news)  # one filter, however often it is added
         try:
             with silent_libraries():
@@ -66,9 +71,7 @@ class Checkpoints:
         manager = self._managers["best"]
         for step in sorted(manager.all_steps(), reverse=True):
             try:
-                self._check("best", step)
-                with silent_libraries():
-                    return step, float(_notes(manager, step)["psnr"])
+                return step, float(self._checked("best", step)["psnr"])
             except Exception:  # damaged: as if there were none
                 if signals.came():  # a worse one would replace it
                     raise
@@ -89,8 +92,9 @@ class Checkpoints:
         manager = self._managers[which]
         if step in manager.all_steps():
             return
+        notes = sealed_json(json.dumps({"run": self.of, "arrays": _digest(state), "psnr": psnr}))
         items = ocp.args.Composite(
-            state=ocp.args.StandardSave(state._asdict()), notes=ocp.args.JsonSave({"psnr": psnr})
+            state=ocp.args.StandardSave(state._asdict()), notes=ocp.args.JsonSave(json.loads(notes))
         )
         try:
             _check_room(self.run / "checkpoints" / which, state)
@@ -121,31 +125,41 @@ class Checkpoints:
         why = "there is none"
         for step in reversed(self.steps(which)):
             try:
-                self._check(which, step)
-                return self._restore(self._managers[which], step, like)
+                notes = self._checked(which, step)
+                return self._restore(self._managers[which], step, like, notes["arrays"])
             except Exception as error:  # damaged after it was written: the one before may be whole
                 if signals.came():  # orbax may turn it into another error
                     raise
                 why = f"step {step}: {one_line(error)}"
         raise InputError(f"{self.run}: no {which} checkpoint that can be read ({why})")
 
-    def _restore(self, manager: ocp.CheckpointManager, step: int, like: State) -> State:
+    def _restore(self, manager: ocp.CheckpointManager, step: int, like: State, digest: str) -> State:
         items = ocp.args.Composite(state=ocp.args.StandardRestore(like._asdict()))
         with _silent_restore():
             state = State(**manager.restore(step, args=items)["state"])
         if int(state.step) != step:
             raise InputError(f"it is of step {int(state.step)}")
+        if _digest(state) != digest:
+            raise InputError("its arrays are not what was written")
         return state
 
-    def _check(self, which: str, step: int) -> None:
-        """Raise InputError where files are not those that were written.
+    def _checked(self, which: str, step: int) -> dict[str, Any]:
+        """The notes of a checkpoint. InputError where it is not what was written, or is of another run.
 
-        One without digests is of a version before them, or was killed before it wrote them: orbax renames
-        what is whole.
+        Files are compared first, as libraries crash on some damaged ones. One that was killed before it wrote
+        their digests has its arrays' in its notes.
         """
         folder = self.run / "checkpoints" / which / str(step)
         if (folder / DIGESTS).exists() and (changed := changed_files(folder, DIGESTS)):
             raise InputError(f"{changed[0].relative_to(folder)} is not what was written")
+        with silent_libraries():
+            items = ocp.args.Composite(notes=ocp.args.JsonRestore())
+            notes: dict[str, Any] = self._managers[which].restore(step, args=items)["notes"]
+        if not is_sealed(json.dumps(notes) + "\n"):
+            raise InputError("its notes are not what was written")
+        if notes["run"] != self.of:
+            raise InputError("it is of another run")
+        return notes
 
     def close(self) -> None:
         for manager in self._managers.values():
@@ -204,8 +218,14 @@ def _manager(folder: Path, keep: int, reading: bool) -> ocp.CheckpointManager:
     return ocp.CheckpointManager(folder.resolve(), options=options)
 
 
-def _notes(manager: ocp.CheckpointManager, step: int) -> dict[str, Any]:
-    return manager.restore(step, args=ocp.args.Composite(notes=ocp.args.JsonRestore()))["notes"]
+def _digest(state: State) -> str:
+    """SHA-256 of all arrays, with their names, types and shapes."""
+    found = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(state):
+        array = np.asarray(leaf)
+        found.update(f"{jax.tree_util.keystr(path)} {array.dtype} {array.shape}\n".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
 
 
 def _check_room(folder: Path, state: State) -> None:

@@ -10,7 +10,7 @@ from jaxisp.errors import InputError
 from jaxisp.models.apply import Denoiser
 from jaxisp.train.checkpoints import FOLDERS, Checkpoints
 from jaxisp.train.config import TrainConfig
-from jaxisp.train.folder import load_settings
+from jaxisp.train.folder import load_settings, settings_digest
 from jaxisp.train.optimizer import make_optimizer
 from jaxisp.train.step import init_state, split_model, weights
 from jaxisp.train.trainer import model_shapes
@@ -28,11 +28,11 @@ def load_denoiser(run: str | Path, checkpoint: str = "best") -> tuple[Denoiser, 
     """
     if checkpoint not in FOLDERS:
         raise InputError(f"checkpoint {checkpoint!r}: expected one of {', '.join(FOLDERS)}")
-    config, _ = load_settings(run)
+    config, recipe = load_settings(run)
     model = model_shapes(config)
     zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), nnx.state(model))
     like = init_state(nnx.merge(nnx.graphdef(model), zeros), make_optimizer(config, 1), ema=config.ema)
-    checkpoints = Checkpoints(Path(run), reading=True)
+    checkpoints = Checkpoints(Path(run), settings_digest(config, recipe), reading=True)
     found = checkpoint if checkpoints.steps(checkpoint) else "last"  # stopped before its first validation
     state = checkpoints.restore(like, found)
     checkpoints.close()

@@ -1,6 +1,8 @@
 """The folder of a run: what it was told, and its model card."""
 
 import dataclasses
+import hashlib
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -36,6 +38,12 @@ def begin(run: Path, config: TrainConfig, recipe: Degradation) -> None:
     """Write what a run is told."""
     write_text(run / RECIPE, _text(recipe))
     config.save(run / CONFIG)  # the last: where it stands, the run can be resumed
+
+
+def settings_digest(config: TrainConfig, recipe: Degradation) -> str:
+    """The digest of all that a run is told but its number of steps, which may grow."""
+    settings = {name: value for name, value in dataclasses.asdict(config).items() if name != "steps"}
+    return hashlib.sha256(f"{json.dumps(settings, sort_keys=True)}\n{recipe.to_toml()}".encode()).hexdigest()
 
 
 def _text(recipe: Degradation) -> str:

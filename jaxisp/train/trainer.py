@@ -27,7 +27,7 @@ from jaxisp.shown import brief
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.config import TrainConfig
 from jaxisp.train.devices import make_mesh, replicate, spread, spread_pairs
-from jaxisp.train.folder import POOL, begin, check_folder, write_card
+from jaxisp.train.folder import POOL, begin, check_folder, settings_digest, write_card
 from jaxisp.train.logs import Log
 from jaxisp.train.optimizer import make_optimizer, schedule
 from jaxisp.train.pool import PairPool
@@ -169,7 +169,7 @@ class _Run:
         if lead:
             begin(run, config, recipe)  # not before its photographs were found, and before all other files
         self.pool = self._make_pool() if config.pool else None
-        self.checkpoints = Checkpoints(run, config.keep)
+        self.checkpoints = Checkpoints(run, settings_digest(config, recipe), config.keep)
         fresh = replicate(self.mesh, init_state(self.model, optimizer, ema=config.ema))
         self.state = self.checkpoints.restore(fresh) if self.checkpoints.steps() else fresh
         self.log = Log(run, int(self.state.step)) if lead else None

@@ -192,13 +192,13 @@ def test_a_checkpoint_unpickles_nothing(tmp_path):
 
     params = {"w": jnp.arange(4.0)}
     state = State(jnp.ones((), jnp.int32), params, {}, optax.adam(1e-3).init(params), None)
-    store = Checkpoints(tmp_path)
+    store = Checkpoints(tmp_path, "a run")
     store.save(state, 20.0)
     store.close()
     looked_up: list[tuple] = []
     watching = [True]
     sys.addaudithook(lambda event, args: watching and event == "pickle.find_class" and looked_up.append(args))
-    store = Checkpoints(tmp_path)
+    store = Checkpoints(tmp_path, "a run")
     assert store.restore(state).params["w"].tolist() == [0, 1, 2, 3] and store.best == (1, 20.0)
     store.close()
     pickle.loads(pickle.dumps(State))  # the watch works

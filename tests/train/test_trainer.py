@@ -77,7 +77,7 @@ def curve(run):
 
 def saved(run):
     """Steps of the checkpoints that there are, without cleaning up as a trainer does."""
-    return Checkpoints(run, reading=True).steps()
+    return Checkpoints(run, "a run", reading=True).steps()
 
 
 def fingerprint(state):
@@ -223,7 +223,7 @@ def test_a_disk_that_fills_up_within_a_checkpoint_is_one_error(whole, tmp_path, 
         (folder / f"{step}.orbax-checkpoint-tmp").mkdir()
         future.CommitFuture(fill_up()).result()  # orbax's thread logs it, too
 
-    store, folder = Checkpoints(tmp_path), tmp_path / "checkpoints" / "last"
+    store, folder = Checkpoints(tmp_path, "a run"), tmp_path / "checkpoints" / "last"
     monkeypatch.setattr(store._managers["last"], "save", save)
     with pytest.raises(InputError, match=r"step 4 cannot be written \(full\); there is none yet"):
         store.save(whole.state, None)
@@ -253,7 +253,7 @@ def test_reading_a_run_leaves_what_its_trainer_is_writing(whole, stopped, tmp_pa
     written.mkdir()
     load_denoiser(run, "last")
     assert written.is_dir()
-    Checkpoints(run).save(whole.state, None)  # as a trainer, before which whoever was writing is dead
+    Checkpoints(run, "a run").save(whole.state, None)  # as a trainer, before which whoever was writing is dead
     assert not written.exists()
 
 
