@@ -353,8 +353,8 @@ def degrade_files(
 
     Raises:
         InputError: no input, a recipe for other domains, the folder is an input, cannot be written, holds
-            samples of another run, a dataset.toml that no run wrote, or none and a file of a sample's name, or
-            another process writes into it.
+            samples of another run, a dataset.toml that no run wrote, or none and a file of a sample's name,
+            or another process writes into it.
     """
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()

@@ -38,8 +38,8 @@ class Checkpoints:
     """The checkpoints of a run, by step, in RUN/checkpoints/last and RUN/checkpoints/best.
 
     A checkpoint is written into a temporary folder that is renamed when it is whole, and older ones are
-    deleted after that: whatever kills the process, the last whole one stands. Its notes, which become whole with
-    it, hold the digest of its arrays and which run it is of: what does not match is as if it were not there.
+    deleted after that: whatever kills the process, the last whole one stands. Its notes, which become whole
+    with it, hold the digest of its arrays and which run it is of: one that differs is not read.
 
     Args:
         run: the folder of the run.

@@ -253,7 +253,8 @@ def test_reading_a_run_leaves_what_its_trainer_is_writing(whole, stopped, tmp_pa
     written.mkdir()
     load_denoiser(run, "last")
     assert written.is_dir()
-    Checkpoints(run, "a run").save(whole.state, None)  # as a trainer, before which whoever was writing is dead
+    # as a trainer, before which whoever was writing is dead
+    Checkpoints(run, "a run").save(whole.state, None)
     assert not written.exists()
 
 
