@@ -353,8 +353,7 @@ def degrade_files(
 
     Raises:
         InputError: no input, a recipe for other domains, the folder is an input, cannot be written, holds
-            samples of another run, a dataset.toml that no run wrote, or none and a file of a sample's name,
-            or another process writes into it.
+            samples of another run or a dataset.toml that no run wrote, or another process writes into it.
     """
     work, out = Work(inputs, recipe, count, seed, start), Path(out)
     outcome, clock = Outcome(), time.perf_counter()
@@ -375,12 +374,10 @@ def degrade_files(
             except InputError as error:
                 outcome.failed.append((str(degraded.sample.path), str(error)))
                 continue
-            if not outcome.images:  # the first, as it says that what has a sample's name is one
-                write_new(out / "dataset.toml", about)
             _write(out, degraded)
             outcome.images += 1
             tick(outcome.images + outcome.kept, len(work))
-        if outcome.kept:
+        if outcome.images or outcome.kept:
             write_new(out / "dataset.toml", about)
     outcome.seconds = time.perf_counter() - clock
     return outcome
@@ -411,11 +408,6 @@ def _check_same_run(out: Path, work: Work, about: str) -> None:
             raise InputError(
                 f"{out}: holds samples of {other}the recipe {own[0]!r}, seed {own[2]}, and {here}; {do}"
             )
-    elif not os.path.lexists(dataset):
-        there = set(os.listdir(out))
-        names = (f"{work.sample(k).stem}{end}" for k in range(len(work)) for end in _ENDS)
-        if other := next((name for name in names if name in there), None):
-            raise InputError(f"{out / other}: stands there already, and no run wrote it; {do}")
     for path in work.paths:
         if os.path.lexists(out / f"{path.stem}_{work.count:03d}.toml"):
             raise InputError(f"{out}: holds more than {work.count} versions of {path.stem}; {do}")

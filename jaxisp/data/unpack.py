@@ -109,6 +109,8 @@ def _zipped(path: Path) -> Iterator[Member]:
             mode = info.external_attr >> 16
             if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
                 raise InputError(f"{path}: holds {short(info.filename)}, a link or a device")
+            if "\0" in info.orig_filename:  # `filename` ends there
+                raise InputError(f"{path}: names {short(info.orig_filename)}, which has a NUL")
             if info.is_dir():
                 _parts(info.filename, path)
             else:

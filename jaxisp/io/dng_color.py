@@ -77,7 +77,10 @@ def _illuminant(tags: DngTags, index: int, tell: Tell) -> Light:
     code = tags.number(tag.ILLUMINANTS[index], 0)
     data = tags.get(tag.ILLUMINANT_DATA[index])
     if code != _OTHER or data is None:
-        return 0 if code is None or code == _OTHER else int(code)
+        light = 0 if code is None or code == _OTHER else int(code)
+        if light and not is_known(light):
+            tell(f"its CalibrationIlluminant{index + 1} of {light} is no light source: taken as unknown")
+        return light
     try:
         xy = _chromaticity(data, tags.byteorder)
         if not (np.isfinite(xy).all() and xy.min() > 0 and xy.sum() < 1):

@@ -16,6 +16,7 @@ from jaxisp.io.tags import DngTags
 
 _MOST_CODE = 65535  # of a pixel
 _MOST_EXPOSURE = 8.0  # EV
+_MOST_ISO = 1e7  # the Canon ME20F-SH has 4,560,000
 _MOST_SCALE = 4.0
 
 
@@ -135,6 +136,8 @@ def tell_unused(tags: DngTags, tell: Tell) -> None:
     """What else the file states of its look and is not applied."""
     if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
         tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
+    if (iso := header(tags)["iso"] or 0) > _MOST_ISO:
+        tell(f"its ISO of {iso:.0f} is above that of any camera")
     names = list(dict.fromkeys(name for code, name in tag.STATED.items() if tags.get(code)))
     # each has a value at which nothing is to be done; 0/0 states none
     for code, name, plain in _HINTS:

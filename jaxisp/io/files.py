@@ -369,8 +369,8 @@ def output_folder(path: PathLike) -> Path:
     path = sound_path(path)
     if leads_nowhere(path):
         raise InputError(f"{path}: cannot be written: is a link that leads nowhere")
-    if os.path.isfile(path):
-        raise InputError(f"{path}: cannot be written: is a file, expected a folder")
+    if os.path.exists(path) and (kind := kind_of(os.stat(path).st_mode) or "a file") != "a folder":
+        raise InputError(f"{path}: cannot be written: is {kind}, expected a folder")
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):  # has no name that could be left behind

@@ -214,6 +214,7 @@ HOSTILE = {
     "bomb.zip": zipped(("a", bytes(100 << 20)), compression=zipfile.ZIP_DEFLATED),
     "no archive.zip": b"PK no archive",
     "cut.zip": zipped(("a", "one"))[:-9],
+    "NUL.zip": zipped(("a.txt_.png", "a")).replace(b"a.txt_", b"a.txt\0"),
     "empty name.zip": zipped(("", "one")),
     "up.tar": tarred(("b.txt", b"b"), ("../outside.txt", b"b")),
     "root.tar": tarred(("/tmp/outside.txt", b"b")),

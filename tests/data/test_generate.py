@@ -73,29 +73,6 @@ def test_a_folder_holds_one_data_set(photos, tmp_path):
     assert degrade_files([photos], out, awgn, count=3, seed=1, start=5).images == 12
 
 
-@pytest.mark.parametrize("end", [".clean.png", ".noisy.png", ".toml"])
-def test_a_file_that_no_run_wrote_is_not_replaced(photos, tmp_path, end):
-    mine, out = tmp_path / "out" / f"-dash_001{end}", tmp_path / "out"
-    out.mkdir()
-    mine.write_bytes(b"mine")
-    for resume in (False, True):
-        with pytest.raises(InputError, match=f"_001{end}: stands there already, and no run wrote it"):
-            degrade_files([photos], out, "awgn", count=2, resume=resume)
-    assert contents(out) == {mine.name: b"mine"}
-
-
-def test_a_run_that_was_killed_in_its_first_sample_is_begun_anew(photos, tmp_path, monkeypatch):
-    def killed(path, text):
-        raise KeyboardInterrupt
-
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(generate, "write_text", killed)
-        degrade_files([photos], out, "awgn")
-    assert len(list(out.glob("*_000.noisy.png"))) == 1
-    assert degrade_files([photos], out, "awgn", resume=True).images == 4
-
-
 def test_where_nothing_can_be_used_no_folder_is_left(tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.jpg").write_bytes(b"\xff\xd8 not a picture")

@@ -228,6 +228,9 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((52551, 7, 8, struct.pack("<2Hf", 1, 1, 4)), "its ProfileDynamicRange (HDR) is not applied", WHITE),
         ((52551, 7, 3, b"\1\0\1"), "its ProfileDynamicRange (HDR) is not applied", WHITE),
         ((50721, 10, 9, (1, 1) * 9), "ColorMatrix cannot be inverted", WHITE),
+        ((50778, 4, 1, 2**32 - 1), "CalibrationIlluminant1 of 4294967295 is no light source", WHITE),
+        ((50778, 3, 1, 5), "CalibrationIlluminant1 of 5 is no light source", WHITE),
+        ((34855, 4, 1, 2**32 - 1), "ISO of 4294967295 is above that of any camera", WHITE),
     ],
 )  # fmt: skip
 def test_what_is_not_used_as_it_is_stated_is_told(tmp_path, extra, words, white):

@@ -175,6 +175,14 @@ def test_list_folder_refuses(tmp_path):
         list_folder(tmp_path / "b")
 
 
+def test_output_folder_says_what_stands_there(tmp_path):
+    put(tmp_path, "a")
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in (("a", "is a file"), ("pipe", "is a FIFO")):
+        with pytest.raises(InputError, match=f"{name}: cannot be written: {words}, expected a folder"):
+            output_folder(tmp_path / name)
+
+
 def test_toml(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('a = 1\nb = [2, "x"]\n')
