@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.machine import machine
 from jaxisp.data import Batches, CleanImages, CleanPatches, DegradedBatches, ShardSource, degrade_shards
 from jaxisp.data.sources import degrade_key
-from jaxisp.generate import Work
+from jaxisp.data.work import Work
 from jaxisp.io import write_png
 from jaxisp.recipes import RECIPES
 

@@ -9,8 +9,9 @@ import pytest
 from experiments.abuse.flips import accepted, cases
 from jaxisp.data import ShardSource, degrade_shards
 from jaxisp.data.shard_source import MANIFEST, SCHEMA, shard_name
+from jaxisp.data.work import Work
 from jaxisp.errors import InputError
-from jaxisp.generate import Work, degrade_files
+from jaxisp.generate import degrade_files
 from jaxisp.io import write_png
 from jaxisp.io.digests import changed_files, check_seal, is_sealed, own_folder, sealed_json, sealed_toml
 from jaxisp.recipes import RECIPES

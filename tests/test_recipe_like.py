@@ -17,9 +17,10 @@ from jaxisp.calibrate import with_noise
 from jaxisp.camera import develop
 from jaxisp.data import Batches, DegradedBatches
 from jaxisp.data.loader import degrader
+from jaxisp.data.work import Work
 from jaxisp.fit import fit_dataset, prior_from_cameras
 from jaxisp.gap import diagnose
-from jaxisp.generate import Work, degrade_files
+from jaxisp.generate import degrade_files
 from jaxisp.interop import DegradeExamples, IspModel
 from jaxisp.io import write_png
 from jaxisp.recipes import RecipeLike, any_phase, find_degradation, find_recipe, mix

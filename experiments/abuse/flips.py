@@ -16,10 +16,11 @@ import numpy as np
 
 from jaxisp.data.shard_source import read_manifest, shard_name, stands, told_of
 from jaxisp.data.shards import degrade_shards
+from jaxisp.data.work import Work
 from jaxisp.errors import InputError
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.state import State as FitState
-from jaxisp.generate import Work, degrade_files, is_written
+from jaxisp.generate import degrade_files, is_written
 from jaxisp.io import write_png
 from jaxisp.io.files import files_below
 from jaxisp.recipes import RECIPES

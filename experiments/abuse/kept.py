@@ -18,10 +18,11 @@ import numpy as np
 from jaxisp.data.shard_source import MANIFEST, ShardSource, shard_name
 from jaxisp.data.shards import degrade_shards
 from jaxisp.data.unpack import unpack
+from jaxisp.data.work import Work
 from jaxisp.errors import InputError
 from jaxisp.fit.journal import Journal, in_the_way
 from jaxisp.fit.state import State as FitState
-from jaxisp.generate import Work, degrade_files, is_written
+from jaxisp.generate import degrade_files, is_written
 from jaxisp.io import write_png
 from jaxisp.io.digests import sealed_json, sealed_toml
 from jaxisp.io.files import files_below

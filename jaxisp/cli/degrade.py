@@ -54,7 +54,8 @@ def run(arguments: Namespace) -> int:
 
 
 def _degrade(arguments: Namespace, tick: Any) -> Any:
-    from jaxisp.generate import Work, degrade_files
+    from jaxisp.data.work import Work
+    from jaxisp.generate import degrade_files
 
     options = {"count": arguments.count, "seed": arguments.seed, "start": arguments.start}
     if not arguments.shards:

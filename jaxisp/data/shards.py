@@ -28,8 +28,8 @@ from jaxisp.data.shard_source import (
     stands,
     told_of,
 )
+from jaxisp.data.work import Degraded, Outcome, Tick, Work
 from jaxisp.errors import InputError, one_line, short
-from jaxisp.generate import Degraded, Outcome, Tick, Work
 from jaxisp.io.digests import digest_of, sealed_json
 from jaxisp.io.files import atomic_write, check_output, write_new, write_text
 from jaxisp.io.jpeg import to_bytes

@@ -6,10 +6,11 @@ import jax
 import numpy as np
 import pytest
 
-from jaxisp import generate
+from jaxisp.data import work as samples
+from jaxisp.data.work import Outcome, Work
 from jaxisp.errors import InputError
 from jaxisp.frames import MOST_FRAMES, Frames
-from jaxisp.generate import Outcome, Work, degrade_files
+from jaxisp.generate import degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.pipeline import Chain, stage
 from jaxisp.process import memory
@@ -104,9 +105,9 @@ def test_pictures_of_many_sizes_do_not_pile_up(tmp_path, monkeypatch):
     recipe = Recipe(Chain((stage("gaussian_noise"), stage("rounding")), "grain"), {})
     whole, few = tmp_path / "whole", tmp_path / "few"
     assert degrade_files([tmp_path / "in"], whole, recipe, seed=1).images == 6
-    monkeypatch.setattr(generate, "WAITING_PIXELS", 3 * 22 * 26)
+    monkeypatch.setattr(samples, "WAITING_PIXELS", 3 * 22 * 26)
     reads = []
-    monkeypatch.setattr(generate, "read_image", lambda path: reads.append(path) or read_image(path))
+    monkeypatch.setattr(samples, "read_image", lambda path: reads.append(path) or read_image(path))
     work, given = Work([tmp_path / "in"], recipe, seed=1), []
     for batch in work._batches(range(6), Outcome(), lambda sample: False):
         given += [sample.stem for sample, _ in batch]
@@ -125,7 +126,7 @@ def test_pictures_of_many_sizes_share_programs(tmp_path, monkeypatch):
     with compile_times() as programs:
         assert degrade_files([tmp_path / "in"], shared, recipe, count=2, seed=1).images == 48
     assert sum(program.name == "_degraded" for program in programs) <= MOST_FRAMES
-    monkeypatch.setattr(generate, "shared_frames", lambda *_: Frames())
+    monkeypatch.setattr(samples, "shared_frames", lambda *_: Frames())
     degrade_files([tmp_path / "in"], alone, recipe, count=2, seed=1)
     assert contents(shared) == contents(alone)
 

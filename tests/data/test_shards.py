@@ -11,8 +11,9 @@ import pytest
 from jaxisp.data import ShardSource, degrade_shards
 from jaxisp.data.shard_source import read_manifest, shard_name
 from jaxisp.data.shards import parse_shards
+from jaxisp.data.work import Work
 from jaxisp.errors import InputError
-from jaxisp.generate import Work, degrade_files
+from jaxisp.generate import degrade_files
 from jaxisp.io import read_image, write_png
 from jaxisp.recipe import Recipe
 from jaxisp.recipes import RECIPES
