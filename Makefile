@@ -55,7 +55,7 @@ $(READY): pyproject.toml constraints.txt
 # large, and only for comparison: without them the tables say that they are not installed
 $(PEERS): $(READY)
 	$(PIP) install --quiet -c constraints.txt -e '.[test,bench]' \
-	  || echo "torch and kornia could not be installed: their comparisons are left out"
+	  || echo "torch, kornia and AlbumentationsX could not be installed: their comparisons are left out"
 	@touch $@
 
 clean:

@@ -32,13 +32,14 @@ class Case:
 
     Attributes:
         stage: name of the row.
-        size: "batch" (32 images of 80x80), "1 MP" or "12 MP".
+        size: "batch" (32 images of 80x80), "256x256" (32 images), "1 MP" or "12 MP".
         ours: runs our call once; the harness waits for its result. JAX's caches are cleared before its
             first call, which is reported as compile time and memory.
         peers: in the order of the table.
         gradient: our gradient to image and parameters, or None where it is not asked for.
         bytes_moved, flops: the least that the algorithm has to move and compute, for the floor.
         gradient_goal: how many times the forward's time the gradient may take.
+        images: of a call, where images a second are to be told.
     """
 
     stage: str
@@ -50,3 +51,4 @@ class Case:
     flops: float = 0.0
     notes: str = field(default="", compare=False)
     gradient_goal: float = 6.0
+    images: int = 0

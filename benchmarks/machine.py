@@ -18,7 +18,7 @@ from jaxisp.process import cores
 
 LIBRARIES = (
     "jax", "jaxlib", "numpy", "opencv-python-headless", "pillow", "scipy", "scikit-image", "PyWavelets",
-    "colour-science", "colour-demosaicing", "rawpy", "torch", "kornia",
+    "colour-science", "colour-demosaicing", "rawpy", "torch", "kornia", "albumentationsx",
 )  # fmt: skip
 COPY_SIZES = {"batch": 2_500_000, "1 MP": 12_000_000, "12 MP": 144_000_000}
 """Bytes of the array that is copied, by the size of a case: small ones stay in the caches."""

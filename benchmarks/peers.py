@@ -126,6 +126,8 @@ def measure_family(
 def measure(case: Case, rounds: int, budget: float, limits: dict[str, Any]) -> dict[str, Any]:
     """One case as a row of the results."""
     row: dict[str, Any] = {"stage": case.stage, "size": case.size, "notes": case.notes}
+    if case.images:
+        row["images"] = case.images
     set_threads(None)
     try:
         jax.clear_caches()  # making the case may have compiled it already

@@ -126,6 +126,9 @@ def family(name: str, result: dict[str, Any]) -> str:
     pairs = [(row, peer) for row in ours for peer in row["peers"]]
     if pairs:
         lines += [table(PEERS, (peer_cells(row, peer) for row, peer in pairs)), ""]
+    counted = [row for row in ours if "images" in row]
+    if counted:
+        lines += ["Images a second:", "", table(RATES, map(rate_cells, counted)), ""]
     failed = [row for row in result["rows"] if "error" in row]
     lines += [f"**{row['stage']}, {row['size']} did not run: {row['error']}**\n" for row in failed]
     noted = [row for row in result["rows"] if row.get("notes")]
@@ -150,6 +153,7 @@ OURS = (
     "scratch",
 )  # fmt: skip
 PEERS = ("stage", "size", "peer", "peer", "ours", "peer / ours", "goal", "result", "outputs")
+RATES = ("operator", "jaxisp", "AlbumentationsX", "kornia", "kornia, torch.compile")
 
 
 def our_cells(row: dict[str, Any]) -> list[str]:
@@ -175,6 +179,13 @@ def peer_cells(row: dict[str, Any], peer: dict[str, Any]) -> list[str]:
         return [*first, "", time(row), "", goal, f"did not run: {peer['error']}", ""]
     outputs = peer.get("outputs", "not compared")
     return [*first, time(peer), time(row), f"{peer['ratio']:.2f}", goal, verdict(peer), outputs]
+
+
+def rate_cells(row: dict[str, Any]) -> list[str]:
+    """Images a second, of each that ran."""
+    timed = {"jaxisp": row, **{peer["name"]: peer for peer in row["peers"] if "ms" in peer}}
+    rates = {name: f"{1e3 * row['images'] / entry['ms']:,.0f}" for name, entry in timed.items()}
+    return [row["stage"], *(rates.get(name, "") for name in RATES[1:])]
 
 
 def time(entry: dict[str, float]) -> str:

@@ -152,3 +152,9 @@ def test_every_must_names_a_row_of_the_results():
     results = json.loads(peers.RESULTS.read_text())["families"]
     sizes = sum(len(of_size) for *_, of_size in musts.AGAINST_PEERS)
     assert len(list(musts.rows(results, None))) == sizes + len(musts.AGAINST_STATED) + 3
+
+
+def test_images_a_second_of_those_that_ran():
+    timed = [{"name": "kornia", "ms": 64.0}, {"name": "AlbumentationsX", "error": "broke"}]
+    row = {"stage": "blur", "images": 32, "ms": 4.0, "peers": timed}
+    assert report.rate_cells(row) == ["blur", "8,000", "", "500", ""]
