@@ -4,7 +4,7 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from jaxisp.color import XYZ_TO_SRGB
 from jaxisp.io import write_dng, write_png
 from jaxisp.samples import PHONES, scene, scene_names, shoot
 
+MOST_SECONDS = 120
 DRAWS = 4  # of settings for each file
 FRAME = "ColorCheckerRAW_1920x1080_12bit_BGGR"
 """A sensor's words without a header, of which its origin says: black about 200. It saturates at 4092."""
@@ -104,11 +105,15 @@ def developed_alike(path: Path, settings: dict[str, Any]) -> np.ndarray:
 
 
 def in_a_child(path: Path, settings: dict[str, Any]) -> np.ndarray | None:
-    """LibRaw's picture; None where it crashed."""
+    """LibRaw's picture; None where it crashed, or does not end."""
     with ProcessPoolExecutor(1, get_context("spawn")) as child:
         try:
-            return child.submit(by_libraw, path, settings).result()
+            return child.submit(by_libraw, path, settings).result(MOST_SECONDS)
         except BrokenProcessPool:
+            return None
+        except TimeoutError:  # what corrupts its memory can have it wait for itself
+            for process in active_children():
+                process.kill()
             return None
 
 

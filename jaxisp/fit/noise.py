@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxisp.color import LUMA_601, rgb_to_ycbcr_planes
 from jaxisp.fit.planes import blur
+from jaxisp.fit.strips import in_strips, strips
 
 BLOCK = 16
 BINS = 3
@@ -47,9 +48,10 @@ def regions(target: np.ndarray, mask: np.ndarray) -> Regions:
         mask: (H, W), where pixels count.
     """
     y = target @ np.asarray(LUMA_601, target.dtype)
-    smooth = blur(blur(y.astype(np.float64)))
-    structure = np.sqrt(np.mean(np.asarray(_detrended(smooth, np)) ** 2, axis=(-2, -1)))
-    level = _blocks(smooth, np).mean(axis=(-2, -1))
+    smooth = in_strips(lambda part: blur(blur(part.astype(np.float64))), y)
+    parts = [smooth[rows] for rows in strips(len(smooth))]
+    structure = np.concatenate([np.sqrt(np.mean(_detrended(p, np) ** 2, axis=(-2, -1))) for p in parts])
+    level = np.concatenate([_blocks(part, np).mean(axis=(-2, -1)) for part in parts])
     whole = _blocks(mask, np).all(axis=(-2, -1))
     flat = np.zeros((BINS, *level.shape), np.float32)
     if whole.sum() >= _FEWEST:
@@ -59,7 +61,7 @@ def regions(target: np.ndarray, mask: np.ndarray) -> Regions:
             own = whole & (index == i)
             if own.sum() >= _FEWEST:
                 flat[i] = own & (structure <= np.quantile(structure[own], _FLAT_SHARE))
-    slopes = np.hypot(*np.gradient(smooth))
+    slopes = in_strips(lambda part: np.hypot(*np.gradient(part)), smooth)
     edges = mask & (slopes >= np.quantile(slopes[mask], 1 - _EDGE_SHARE)) if mask.any() else mask
     with np.errstate(invalid="ignore", divide="ignore"):
         levels = (flat * level).sum((1, 2)) / flat.sum((1, 2))
@@ -78,7 +80,9 @@ def moments(image: Any, flat: Any, edges: Any, xp: Any = np) -> Any:
         (SUMS,): per bin and kind the weight, the sum of squares and of neighbour products
         of the noise; the weight of edges, and the sum of squared detail there.
     """
-    ycbcr = rgb_to_ycbcr_planes(*xp.moveaxis(image, -1, 0))
+
+    def planes(image: Any) -> Any:
+        return rgb_to_ycbcr_planes(*xp.moveaxis(image, -1, 0))
 
     def products(plane: Any) -> Any:
         noise = _detrended(plane, xp)
@@ -86,15 +90,21 @@ def moments(image: Any, flat: Any, edges: Any, xp: Any = np) -> Any:
         down = (noise[..., 1:, :] * noise[..., :-1, :]).mean((-2, -1))
         return xp.stack([(noise * noise).mean((-2, -1)), (across + down) / 2])
 
-    # mapped, a third is compiled; one by one, a whole picture takes a third of the memory
-    y, cb, cr = jax.vmap(products)(xp.stack(ycbcr)) if xp is jnp else map(products, ycbcr)
+    if xp is jnp:  # mapped, a third is compiled
+        whole = planes(image)
+        y, cb, cr = jax.vmap(products)(xp.stack(whole))
+        detail = _detail(whole[0], xp)
+    else:
+        parts = [[products(plane) for plane in planes(image[rows])] for rows in strips(len(image))]
+        y, cb, cr = np.concatenate(parts, axis=2)
+        detail = in_strips(lambda part: _detail(planes(part)[0], xp), image)
     count = flat.sum((-2, -1))
     per_kind = [
         xp.stack([channels * count, *(flat * each[:, None]).sum((-2, -1))], -1)
         for channels, each in ((1, y), (2, cb + cr))
     ]
-    detail = edges * _detail(ycbcr[0], xp) ** 2
-    return xp.concatenate([xp.stack(per_kind, 1).ravel(), xp.stack([edges.sum(), detail.sum()])])
+    sharp = edges * detail**2
+    return xp.concatenate([xp.stack(per_kind, 1).ravel(), xp.stack([edges.sum(), sharp.sum()])])
 
 
 def rounded(sums: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
-"""Whole pictures rendered in tiles, and what else runs on whole pictures in parts: memory stays small."""
+"""Whole pictures rendered in tiles, and compared in strips: memory stays small."""
 
 import functools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +10,12 @@ from jaxisp.fit import model
 from jaxisp.fit.pair import Example
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.spread import Call
+from jaxisp.fit.strips import in_strips
 from jaxisp.fit.tiles import TILE, TILES, Shot, blank, padded, with_source
 from jaxisp.io import Jpeg
 from jaxisp.metrics import ssim_map
 from jaxisp.pipeline import Chain, run
 from jaxisp.process.programs import QUICK
-
-_STRIP = 512  # rows at once of what runs on whole pictures, a multiple of 16
-_STRIP_HALO = 16  # rows around, a multiple of 16 as the JPEG's largest unit
 
 
 def render(
@@ -61,7 +58,10 @@ def render(
         for (y, x), tile in zip(some, np.asarray(found.render)):
             part = out[y : y + TILE, x : x + TILE]
             part[:] = tile[: part.shape[0], : part.shape[1]]
-    return compressed(np.round(out * 255) / 255, shot.jpeg)
+    out *= 255  # in place: large
+    np.round(out, out=out)
+    out /= 255
+    return compressed(out, shot.jpeg)
 
 
 def compressed(picture: np.ndarray, jpeg: Jpeg | None) -> np.ndarray:
@@ -69,29 +69,15 @@ def compressed(picture: np.ndarray, jpeg: Jpeg | None) -> np.ndarray:
     chain, tables = model.with_jpeg(Chain((), "encoder"), jpeg)
     if not tables:
         return picture.astype(np.float32)
-    strips = in_strips(lambda part: np.asarray(run(chain, tables, jnp.asarray(part))), picture)
-    return np.clip(strips, 0, 1)
+    out = in_strips(lambda part: np.asarray(run(chain, tables, jnp.asarray(part))), picture)
+    return np.clip(out, 0, 1, out=out)
 
 
 def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(H, W): the SSIM of each pixel's neighbourhood, the mean of the channels."""
-    both = np.concatenate([a, b], axis=-1).astype(np.float32)
-    return in_strips(lambda part: np.asarray(_ssim(part)), both)
+    return in_strips(lambda *parts: np.asarray(_ssim(*(p.astype(np.float32) for p in parts))), a, b)
 
 
 @functools.partial(jax.jit, compiler_options=QUICK)  # runs as fast as it does optimised
-def _ssim(both: jax.Array) -> jax.Array:
-    return ssim_map(both[..., :3], both[..., 3:]).mean(-1)
-
-
-def in_strips(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:
-    """A function of a whole picture, run on strips of it with their surroundings."""
-    h = image.shape[0]
-    if h <= 2 * _STRIP:
-        return function(image)
-    parts = []
-    for top in range(0, h, _STRIP):
-        first, last = max(top - _STRIP_HALO, 0), min(top + _STRIP + _STRIP_HALO, h)
-        done = function(image[first:last])
-        parts.append(done[top - first : top - first + min(_STRIP, h - top)])
-    return np.concatenate(parts)
+def _ssim(a: jax.Array, b: jax.Array) -> jax.Array:
+    return ssim_map(a, b).mean(-1)

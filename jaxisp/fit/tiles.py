@@ -57,7 +57,10 @@ class Chunk(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """One pair, ready to be fitted: its tiles and where it lies."""
+    """One pair, ready to be fitted: its tiles and where it lies.
+
+    `jpeg` is what its file states, without the pixels, which would fill the memory where pairs are many.
+    """
 
     name: str
     cfa: str
@@ -144,8 +147,9 @@ def prepare(example: Example, most: int = 32) -> Shot:
     cuts = [_cut(flat, corner) for corner in corners]
     chunks = tuple(_chunks(tiles, cuts, _corner(example.raw.mosaic.shape)))
     sensor_noise = raw_noise(example.raw)
+    jpeg = example.jpeg and dataclasses.replace(example.jpeg, pixels=np.empty((0, 0, 3), np.uint8))
     return Shot(
-        example.name, example.raw.cfa, alignment, chunks, example.jpeg, orientation, notes, sensor_noise, lens
+        example.name, example.raw.cfa, alignment, chunks, jpeg, orientation, notes, sensor_noise, lens
     )
 
 
