@@ -59,7 +59,7 @@ COMMANDS = {
     ),
 }
 ALWAYS_OURS = {  # what is not named by a call is not to be replaced: refused, or left as it is
-    "demo": ("run/notes.txt", "pairs/mine.jpg", "camera.toml", "report.html"),
+    "demo": ("run/notes.txt", "pairs/mine.jpg", "camera.toml", "report.html", "demo.json"),
     "degrade": ("dataset.toml", ".lock"),
     "shards": ("recipe.toml", "manifest.json", ".lock"),
     "downstream": ("downstream.json",),

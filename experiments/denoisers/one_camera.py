@@ -94,7 +94,8 @@ def on_real_pairs(learned: list[AlignedPair], folder: Path, steps: int) -> Denoi
     def make(indices: range) -> tuple[Any, Any]:
         return tuple(map(np.stack, zip(*[_patch(learned, rng, config.patch) for _ in indices])))
 
-    pool = PairPool(folder / "pool", config.patch, min(8192, config.batch * steps), make, batch=config.batch)
+    of, count = ", ".join(pair.name for pair in learned), min(8192, config.batch * steps)
+    pool = PairPool(folder / "pool", of, config.patch, count, make, batch=config.batch)
     optimizer = make_optimizer(config, max(1, len(pool) // config.batch))
     # its batches are pairs already, so the recipe degrades nothing
     step = make_step(

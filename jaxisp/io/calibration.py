@@ -193,10 +193,10 @@ def camera_to_srgb_d65(xyz_to_camera: np.ndarray) -> np.ndarray:
 
 
 def usable(matrix: np.ndarray | None) -> bool:
-    """Whether it is a 3x3 matrix that can be inverted."""
+    """Whether it is a 3x3 matrix that can be inverted, of numbers that colours have."""
     if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return False
-    return bool(np.linalg.cond(matrix) < 1e4)
+    return bool(1e-3 < np.abs(matrix).max() < 1e3 and np.linalg.cond(matrix) < 1e4)
 
 
 def _unit_rows(matrix: np.ndarray) -> np.ndarray:

@@ -126,11 +126,14 @@ def own_folder(place: PathLike, name: str) -> Iterator[Path]:
     """
     folder = Path(place)
     with locked(folder):
-        if there := _files(folder, name):
+        there, listed = _files(folder, name), os.path.lexists(folder / name)
+        if there or listed:
             try:
-                others = changed_files(folder, name)
+                others = changed_files(folder, name) if there else []
+                if listed:
+                    noted_files(folder, name)
             except InputError:
-                others = there
+                others = there or [folder / name]
             if others:
                 raise InputError(
                     f"{folder}: holds {others[0].relative_to(folder)}, which is none of the files written "

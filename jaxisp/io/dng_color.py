@@ -14,6 +14,7 @@ Tell = Callable[[str], None]
 """Takes one line on what a file states that is not used, or used otherwise than it says."""
 
 _OTHER = 255  # LightSource: see IlluminantData
+_BALANCE_RANGE = 1 / 16, 16.0
 _MOST_GAIN = 1e3  # of one colour against another
 _MOST_SAMPLES = 1000  # of a spectrum, by the specification
 
@@ -24,12 +25,13 @@ def calibration(tags: DngTags, tell: Tell) -> Calibration | None:
     slots = [i for i, matrix in enumerate(colors) if usable(matrix)]
     if not slots:
         stated = any(tags.get(code) is not None for code in tag.COLOR_MATRICES)
-        own = "its ColorMatrix cannot be inverted" if stated else "it states no ColorMatrix"
+        own = "its ColorMatrix cannot be used" if stated else "it states no ColorMatrix"
         tell(f"{own}: colours stay the camera's")
         return None
     balance = tags.numbers(tag.ANALOG_BALANCE, (1.0, 1.0, 1.0))
-    if balance is None or balance.shape != (3,) or not (np.isfinite(balance).all() and balance.min() > 0):
-        tell("its AnalogBalance is not three positive numbers and is not used")
+    least, most = _BALANCE_RANGE
+    if balance is None or balance.shape != (3,) or not ((balance >= least) & (balance <= most)).all():
+        tell(f"its AnalogBalance is not three numbers from {least:g} to {most:g} and is not used")
         balance = np.ones(3)
     lights = tuple(_illuminant(tags, i, tell) for i in slots)
     unknown = [f"ColorMatrix{i + 1}" for i, light in zip(slots, lights) if not is_known(light)]
@@ -67,19 +69,20 @@ def _camera(tags: DngTags, index: int, tell: Tell) -> np.ndarray:
         tell(f"its CameraCalibration{index + 1} is for another profile (its signatures differ): not used")
         return np.eye(3)
     if not usable(matrix):
-        tell(f"its CameraCalibration{index + 1} cannot be inverted and is not used")
+        tell(f"its CameraCalibration{index + 1} cannot be used")
         return np.eye(3)
     return matrix
 
 
 def _illuminant(tags: DngTags, index: int, tell: Tell) -> Light:
     """A chromaticity where the code says that it is stated, else the code."""
-    code = tags.number(tag.ILLUMINANTS[index], 0)
+    stated = tags.numbers(tag.ILLUMINANTS[index], 0)
+    code = stated[0] if stated is not None and stated.size else 0
     data = tags.get(tag.ILLUMINANT_DATA[index])
     if code != _OTHER or data is None:
-        light = 0 if code is None or code == _OTHER else int(code)
-        if light and not is_known(light):
-            tell(f"its CalibrationIlluminant{index + 1} of {light} is no light source: taken as unknown")
+        light = int(code) if is_known(code) else 0
+        if not light and code not in (0, _OTHER):
+            tell(f"its CalibrationIlluminant{index + 1} of {code:g} is no light source: taken as unknown")
         return light
     try:
         xy = _chromaticity(data, tags.byteorder)

@@ -16,7 +16,8 @@ from jaxisp.io.tags import DngTags
 
 _MOST_CODE = 65535  # of a pixel
 _MOST_EXPOSURE = 8.0  # EV
-_MOST_ISO = 1e7  # the Canon ME20F-SH has 4,560,000
+_ISO_RANGE = 1.0, 1e7  # the Canon ME20F-SH has 4,560,000
+_EXPOSURE_RANGE = 1e-7, 1e6  # s
 _MOST_SCALE = 4.0
 
 
@@ -25,7 +26,7 @@ def black_levels(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) 
     dims = tags.numbers(tag.BLACK_DIM, (1, 1))
     cell = tags.numbers(tag.BLACK, 0.0)
     assert dims is not None and cell is not None
-    if dims.size != 2 or not dims.min() >= 1 or cell.size != dims.prod():
+    if dims.size != 2 or not dims.min() >= 1 or cell.size != dims.prod() or not cell.min() >= 0:
         raise InputError(f"{path}: has a damaged BlackLevel")
     rows, columns = (int(v) for v in dims)
     wide = cell.reshape(rows, columns).astype(np.float32)[: shape[0], np.arange(shape[1]) % columns]
@@ -44,9 +45,11 @@ def black_levels(tags: DngTags, shape: tuple[int, int], path: Path, tell: Tell) 
     return black
 
 
-def white_level(tags: DngTags, tell: Tell) -> float:
+def white_level(tags: DngTags, path: Path, tell: Tell) -> float:
     """Level of a saturated pixel; the largest code where the file states none that a pixel can have."""
     table = tags.numbers(tag.LINEARIZATION)
+    if table is not None and not np.isfinite(table).all():
+        raise InputError(f"{path}: has a damaged LinearizationTable")
     if table is not None and (np.diff(table) < 0).any():
         tell("its LinearizationTable falls: brighter light may have darker pixels")
     elif table is not None and table.size and table.max() == table.min():
@@ -134,10 +137,14 @@ def _is_hdr(tags: DngTags) -> bool:
 
 def tell_unused(tags: DngTags, tell: Tell) -> None:
     """What else the file states of its look and is not applied."""
-    if not 1 <= (orientation := tags.main.get(tag.ORIENTATION, 1)) <= 8:
+    if (orientation := tags.main.get(tag.ORIENTATION, 1)) not in range(1, 9):
         tell(f"its Orientation of {orientation} is not from 1 to 8: 1 is taken")
-    if (iso := header(tags)["iso"] or 0) > _MOST_ISO:
-        tell(f"its ISO of {iso:.0f} is above that of any camera")
+    about = header(tags)
+    for name, value, (least, most) in (
+        ("ISO", about["iso"], _ISO_RANGE), ("ExposureTime", about["exposure_time"], _EXPOSURE_RANGE)
+    ):  # fmt: skip
+        if value is not None and not least <= value <= most:
+            tell(f"its {name} of {value:g} is that of no camera")
     names = list(dict.fromkeys(name for code, name in tag.STATED.items() if tags.get(code)))
     # each has a value at which nothing is to be done; 0/0 states none
     for code, name, plain in _HINTS:
@@ -168,7 +175,7 @@ def header(tags: DngTags) -> dict[str, Any]:
     """What any TIFF-like RAW states in its first directory."""
     orientation = tags.main.get(tag.ORIENTATION, 1)
     return {
-        "orientation": orientation if 1 <= orientation <= 8 else 1,
+        "orientation": int(orientation) if orientation in range(1, 9) else 1,
         "iso": iso_of({**tags.main, **tags.raw}) or iso_of(tags.exif),
         "exposure_time": _seconds(tags),
         "make": text_of(tags.main.get(tag.MAKE)),

@@ -211,13 +211,15 @@ def _read_dng(path: Path, tags: tag.DngTags, description: RawDescription, quad: 
     calibration = dng_color.calibration(tags, tell)
     neutral = dng_color.neutral(tags, calibration, as_shot, tell)
     filters = dng_layout.color_filters(tags, path)
-    black = dng.black_levels(tags, active, path, tell)
+    black, white = dng.black_levels(tags, active, path, tell), dng.white_level(tags, path, tell)
+    if white / 2 < black.max() < white:
+        tell(f"its BlackLevel of {black.max():g} leaves less than half of its WhiteLevel of {white:g}")
     raw_picture = Raw(
         path=path,
         mosaic=levels,
         cfa=filters.after(crop[0], crop[1]).cfa,
         black=_cut(black, crop),
-        white=dng.white_level(tags, tell),
+        white=white,
         white_balance=1 / neutral,
         active_area=area,
         crop=crop,

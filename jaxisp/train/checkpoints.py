@@ -5,6 +5,7 @@ import datetime
 import hashlib
 import json
 import logging
+import os
 import shutil
 import tempfile
 import time
@@ -150,7 +151,7 @@ class Checkpoints:
         their digests has its arrays' in its notes.
         """
         folder = self.run / "checkpoints" / which / str(step)
-        if (folder / DIGESTS).exists() and (changed := changed_files(folder, DIGESTS)):
+        if os.path.lexists(folder / DIGESTS) and (changed := changed_files(folder, DIGESTS)):
             raise InputError(f"{changed[0].relative_to(folder)} is not what was written")
         with silent_libraries():
             items = ocp.args.Composite(notes=ocp.args.JsonRestore())

@@ -203,8 +203,8 @@ class _Run:
             return self.pairs(clean, np.arange(indices.start, indices.stop, dtype=np.int32))
 
         return PairPool(
-            self.run / POOL, config.patch, config.pool, make, seed=config.seed, batch=config.batch,
-            tick=self.tick,
+            self.run / POOL, settings_digest(config, self.recipe), config.patch, config.pool, make,
+            seed=config.seed, batch=config.batch, tick=self.tick,
         )  # fmt: skip
 
     def _batch(self, done: int) -> Any:

@@ -227,16 +227,38 @@ def test_black_cells_of_any_size_with_row_and_column_terms(tmp_path, dims):
         ((52537, 11, 3, (0.0, 1.0, 1.0)), "its ProfileHueSatMap is not applied", WHITE),
         ((52551, 7, 8, struct.pack("<2Hf", 1, 1, 4)), "its ProfileDynamicRange (HDR) is not applied", WHITE),
         ((52551, 7, 3, b"\1\0\1"), "its ProfileDynamicRange (HDR) is not applied", WHITE),
-        ((50721, 10, 9, (1, 1) * 9), "ColorMatrix cannot be inverted", WHITE),
-        ((50778, 4, 1, 2**32 - 1), "CalibrationIlluminant1 of 4294967295 is no light source", WHITE),
+        ((50721, 10, 9, (1, 1) * 9), "ColorMatrix cannot be used", WHITE),
+        ((50778, 4, 1, 2**32 - 1), "CalibrationIlluminant1 of 4.29497e+09 is no light source", WHITE),
         ((50778, 3, 1, 5), "CalibrationIlluminant1 of 5 is no light source", WHITE),
-        ((34855, 4, 1, 2**32 - 1), "ISO of 4294967295 is above that of any camera", WHITE),
+        ((50778, 12, 1, float("nan")), "CalibrationIlluminant1 of nan is no light source", WHITE),
+        ((50778, 12, 1, 1e300), "CalibrationIlluminant1 of 1e+300 is no light source", WHITE),
+        ((34855, 4, 1, 2**32 - 1), "ISO of 4.29497e+09 is that of no camera", WHITE),
+        ((34855, 5, 1, (1, 2**32 - 1)), "ISO of 2.32831e-10 is that of no camera", WHITE),
+        ((33434, 5, 1, (1, 2**32 - 1)), "ExposureTime of 2.32831e-10 is that of no camera", WHITE),
+        ((50727, 5, 3, (2**32 - 1, 1, 1, 1, 1, 1)), "AnalogBalance is not three numbers", WHITE),
+        ((50721, 12, 9, tuple(1e30 * np.eye(3).ravel())), "ColorMatrix cannot be used", WHITE),
+        ((50721, 12, 9, tuple(1e-9 * np.eye(3).ravel())), "ColorMatrix cannot be used", WHITE),
+        ((50714, 3, 4, (WHITE - 1,) * 4), "leaves less than half of its WhiteLevel", WHITE),
     ],
 )  # fmt: skip
 def test_what_is_not_used_as_it_is_stated_is_told(tmp_path, extra, words, white):
     raw = read_raw(dng(tmp_path / "a.dng", extra_tags=[extra]))
     assert len(raw.notes) == 1 and words in raw.notes[0] and "\n" not in raw.notes[0]
     assert raw.white == white and np.isfinite(raw.mosaic).all()
+
+
+@pytest.mark.parametrize(
+    ("extra", "name"),
+    [
+        ((50714, 9, 4, (-1000,) * 4), "BlackLevel"),
+        ((50714, 12, 4, (float("nan"),) * 4), "BlackLevel"),
+        ((50712, 11, 1, float("nan")), "LinearizationTable"),
+        ((50712, 5, 1, (0, 0)), "LinearizationTable"),
+    ],
+)
+def test_levels_that_are_none_are_refused(tmp_path, extra, name):
+    with pytest.raises(InputError, match=f"a.dng: has a damaged {name}"):
+        read_raw(dng(tmp_path / "a.dng", extra_tags=[extra]))
 
 
 def test_the_exposure_offset_of_the_profile_adds_to_the_baseline(tmp_path):

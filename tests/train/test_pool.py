@@ -1,6 +1,8 @@
 """Pairs on disk: each once an epoch, both turned alike, made once; a run with them is resumed to the bit."""
 
 import dataclasses
+import os
+import shutil
 
 import jax
 import numpy as np
@@ -29,9 +31,11 @@ def parts(monkeypatch):
 
 
 def test_each_pair_comes_once_an_epoch_and_both_are_turned_alike(tmp_path, parts):
-    pool = PairPool(tmp_path / "pool", 4, 12, numbered, batch=4)
+    pool = PairPool(tmp_path / "pool", "a run", 4, 12, numbered, batch=4)
     assert len(pool) == 16 and sorted(p.name for p in (tmp_path / "pool").iterdir()) == [
+        "00000.json",
         "00000.npy",
+        "00001.json",
         "00001.npy",
     ]
     for epoch in range(2):
@@ -51,20 +55,42 @@ def test_what_is_whole_is_not_made_again(tmp_path, parts):
         asked.append(indices)
         return numbered(indices)
 
-    PairPool(tmp_path / "pool", 4, 16, make, batch=8)
+    PairPool(tmp_path / "pool", "a run", 4, 16, make, batch=8)
     (tmp_path / "pool" / "00001.npy").unlink()
-    PairPool(tmp_path / "pool", 4, 16, make, batch=8)
+    PairPool(tmp_path / "pool", "a run", 4, 16, make, batch=8)
     assert asked == [range(0, 8), range(8, 16), range(8, 16)]
 
 
-def test_a_file_that_is_none_of_it_is_one_error(tmp_path, parts):
-    (tmp_path / "pool").mkdir()
-    np.save(tmp_path / "pool" / "00000.npy", np.zeros((8, 2, 5, 5, 3), np.uint8))
-    with pytest.raises(InputError, match=r"00000\.npy: is not of this run"):
-        PairPool(tmp_path / "pool", 4, 8, numbered, batch=8)
-    (tmp_path / "pool" / "00000.npy").write_bytes(b"cut off")
-    with pytest.raises(InputError, match=r"00000\.npy: cannot be read"):
-        PairPool(tmp_path / "pool", 4, 8, numbered, batch=8)
+@pytest.mark.parametrize("damage", ["flipped", "zeros", "cut", "no note", "another run's", "another place's"])
+def test_what_is_not_as_it_was_written_is_made_again(tmp_path, parts, damage):
+    whole = PairPool(tmp_path / "whole", "a run", 4, 16, numbered, batch=8).batch(range(16))
+    shutil.copytree(tmp_path / "whole", tmp_path / "pool")
+    path = tmp_path / "pool" / "00000.npy"
+    data = bytearray(path.read_bytes())
+    if damage == "flipped":
+        data[-1] ^= 1
+    if damage == "zeros":
+        data[128:] = bytes(len(data) - 128)
+    path.write_bytes(data[:-9] if damage == "cut" else data)
+    if damage == "no note":
+        path.with_suffix(".json").unlink()
+    if damage == "another run's":
+        PairPool(tmp_path / "other", "another", 4, 16, lambda i: numbered(np.add(i, 9)), batch=8)
+        for suffix in (".npy", ".json"):
+            shutil.copy(tmp_path / "other" / f"00000{suffix}", tmp_path / "pool")
+    if damage == "another place's":
+        for suffix in (".npy", ".json"):
+            shutil.copy(tmp_path / "whole" / f"00001{suffix}", path.with_suffix(suffix))
+    again = PairPool(tmp_path / "pool", "a run", 4, 16, numbered, batch=8)
+    np.testing.assert_array_equal(again.batch(range(16)), whole)
+    assert (tmp_path / "pool" / "00000.npy").read_bytes() == (tmp_path / "whole" / "00000.npy").read_bytes()
+
+
+def test_a_file_that_is_cut_while_it_is_used_is_one_error(tmp_path, parts):
+    pool = PairPool(tmp_path / "pool", "a run", 4, 8, numbered, batch=8)
+    os.truncate(tmp_path / "pool" / "00000.npy", 300)
+    with pytest.raises(InputError, match=r"00000\.npy: was cut short while it was in use"):
+        pool.batch(range(8))
 
 
 def test_a_run_with_a_pool_is_resumed_to_the_bit_and_goes_on_from_weights(tmp_path, parts):
