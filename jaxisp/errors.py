@@ -67,6 +67,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " if c.isspace() else _escape(c) for c in text)
 
 
+def printable_lines(text: str) -> str:
+    """`printable` of each line of a text, as of a page that shows names of others."""
+    return "\n".join(line if line.isprintable() else printable(line) for line in text.split("\n"))
+
+
 def _escape(character: str) -> str:
     return character.encode("unicode_escape").decode()
 

@@ -33,7 +33,7 @@ def test_no_flipped_bit_is_accepted(tmp_path):
     for case in cases(tmp_path):
         assert accepted(case, 40, rng) == 0, case[0]
         names.append(case[0])
-    assert len(names) == 6
+    assert len(names) == 7
 
 
 def contents(folder):

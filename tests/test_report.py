@@ -21,3 +21,11 @@ def test_page(tmp_path):
     picture = Image.open(io.BytesIO(base64.b64decode(re.search(r"base64,([^\"]+)", text)[1])))
     assert picture.size == (18, 12) and picture.getpixel((0, 0)) == (128, 128, 128)
     assert not re.search(r"(src|href)=\"(?!data:)", text)
+
+
+def test_names_of_others_stand_in_a_page_as_text():
+    page = Page("a\x1b[2J", "\u202eback <script>")
+    page.table(["\x9b"], [["b\x07"]])
+    text = page.html()
+    assert all(line.isprintable() for line in text.split("\n"))
+    assert "a\\x1b[2J" in text and "\\u202eback &lt;script&gt;" in text

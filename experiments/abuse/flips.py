@@ -2,7 +2,7 @@
 
     python -m experiments.abuse.flips --flips 1000
 
-What `jaxisp degrade --resume` and `--shards` keep, a fit's journal, a run's settings and checkpoints.
+What `jaxisp degrade --resume` and `--shards` keep, a fit's journal, a run's settings, checkpoints and pool.
 """
 
 import argparse
@@ -27,6 +27,7 @@ from jaxisp.recipes import RECIPES
 from jaxisp.train import TrainConfig
 from jaxisp.train.checkpoints import Checkpoints
 from jaxisp.train.folder import begin, load_settings
+from jaxisp.train.pool import PairPool, is_part_of
 from jaxisp.train.step import State
 
 Case = tuple[str, list[Path], Callable[[], bool]]
@@ -66,6 +67,9 @@ def cases(root: Path) -> Iterator[Case]:
     store.save(state, None)
     kept = files_below(run / "checkpoints" / "last" / "3")
     yield "checkpoint", kept, lambda: _reads(lambda: store.restore(state))
+    PairPool(run / "pool", "a run", 4, 32, lambda indices: (rng.random((len(indices), 4, 4, 3)),) * 2)
+    part = run / "pool" / "00000.npy"
+    yield "pool", files_below(part.parent), lambda: is_part_of(part, "a run", 0)
 
 
 def _reads(read: Callable[[], object]) -> bool:

@@ -84,6 +84,9 @@ def degrade_shards(
     if wrong := [s for s in numbers if s not in range(shards)]:
         raise InputError(f"only = {short(wrong)}: shards are counted from 0 to {shards - 1}")
     with locked(out, shared=True):
+        for name in (shard_name(shard, shards) for shard in numbers):
+            for end in (".array_record", ".json"):  # before the plan is written
+                check_output(out / f"{name}{end}", work.inputs_real)
         with locked(out, name=".plan.lock", wait=True):  # another that starts now has to see this plan
             plan = _write_plan(work, out, shards, numbers)
         total = sum(len(_range(work, s, shards)) for s in numbers)
@@ -148,7 +151,6 @@ def _write_shard(work: Work, out: Path, told: dict[str, Any], outcome: Outcome, 
     own = Outcome()
     path, note = out / f"{name}.array_record", out / f"{name}.json"
     indices = []
-    check_output(note, work.inputs_real)
     with atomic_write(path) as file:
         place = f"/dev/fd/{file.fileno()}"  # it has no name before it is whole
         with _recording(path):

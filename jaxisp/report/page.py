@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 from PIL import Image
 
+from jaxisp.errors import printable_lines
 from jaxisp.io.files import write_text
 
 _ENVIRONMENT = jinja2.Environment(
@@ -49,7 +50,7 @@ class Page:
     def html(self) -> str:
         """The whole page as text."""
         template = _ENVIRONMENT.get_template("page.html")
-        return template.render(title=self.title, lead=self.lead, blocks=self.blocks)
+        return printable_lines(template.render(title=self.title, lead=self.lead, blocks=self.blocks))
 
     def write(self, path: str | Path) -> None:
         """Write the page, whole or not at all."""

@@ -62,6 +62,9 @@ class Checkpoints:
                     name: _manager(run / "checkpoints" / name, count, reading)
                     for name, count in zip(FOLDERS, (1, keep))
                 }
+            for name in FOLDERS:  # where one cannot be listed orbax finds it empty
+                if reading and (folder := run / "checkpoints" / name).is_dir():
+                    os.listdir(folder)
         except OSError as error:
             verb = "read" if reading else "written"
             raise InputError(f"{run / 'checkpoints'}: cannot be {verb}: {reason(error)}") from error

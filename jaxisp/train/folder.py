@@ -2,15 +2,16 @@
 
 import dataclasses
 import hashlib
+import html
 import json
 import os
 from pathlib import Path
 from typing import Any
 
 from jaxisp import __version__
-from jaxisp.errors import InputError
+from jaxisp.errors import InputError, printable, printable_lines
 from jaxisp.io.digests import check_seal, sealed_toml
-from jaxisp.io.files import check_new, files_below, write_text
+from jaxisp.io.files import check_new, files_below, reason, write_text
 from jaxisp.mixture import Degradation
 from jaxisp.recipes import load_degradation
 from jaxisp.train.config import TrainConfig
@@ -63,6 +64,12 @@ def _check_same(run: Path, config: TrainConfig, recipe: Degradation) -> None:
 def load_settings(run: str | Path) -> tuple[TrainConfig, Degradation]:
     """What a run was told. Raises InputError where the folder holds none, or it is not what was written."""
     run = Path(run)
+    try:
+        os.stat(run / CONFIG)
+    except PermissionError as error:
+        raise InputError(f"{run}: cannot be read: {reason(error)}") from error
+    except OSError:  # told below
+        pass
     if not os.path.isfile(run / CONFIG):
         raise InputError(f"{run}: holds no run, expected a folder that jaxisp train wrote")
     for name in (CONFIG, RECIPE):
@@ -77,16 +84,17 @@ def write_card(
     best = result["best"]
     figures = f"{best['psnr']:.2f} dB at step {best['step']}, " if best else "none yet, "
     figures += f"noisy input {_psnr_in(result)}"
-    settings = "\n".join(f"| {name} | {value} |" for name, value in dataclasses.asdict(config).items())
-    text = f"""# {config.model} trained on `{recipe.name}`
+    settings = "\n".join(f"| {name} | {_said(value)} |" for name, value in dataclasses.asdict(config).items())
+    text = f"""# {config.model} trained on `{_said(recipe.name)}`
 
 A denoiser for photographs, which it sees in {_LIGHTS[config.light]}.
 
 - **Network**: {config.model}, {result["parameters"]} parameters, options {config.model_options or "none"}.
 - **Trained for**: {result["step"]} of {config.steps} steps of {config.batch} patches of {config.patch} px,
   seed {config.seed}{"" if result["finished"] else " (stopped before its end)"}.
-- **Clean photographs**: {data}, {_size(config.downsample)}.
-- **Degraded by**: `{recipe.name}`: {recipe.description or "no description"}. Its text is in {RECIPE}.
+- **Clean photographs**: {_said(data)}, {_size(config.downsample)}.
+- **Degraded by**: `{_said(recipe.name)}`: {_said(recipe.description or "no description")}. Its text is in
+  {RECIPE}.
 - **Weights**: {f"averaged with a decay of {config.ema}" if config.ema else "those of the last step"};
   `checkpoints/best` has those of the best validation.
 - **Validation**: {figures}, on {config.validation} simulated patches of photographs that
@@ -105,7 +113,12 @@ Recipe:
 ```toml
 {recipe.to_toml()}```
 """
-    write_text(run / CARD, text)
+    write_text(run / CARD, printable_lines(text))
+
+
+def _said(value: Any) -> str:
+    """As it may stand in Markdown: names and descriptions are others' texts."""
+    return html.escape(printable(str(value)), quote=False)
 
 
 def _size(factor: int) -> str:

@@ -54,7 +54,7 @@ class PairPool:
         self._parts: list[_Part] = []
         for first in range(0, self.count, part):
             path = folder / f"{first // part:05d}.npy"
-            if not _stands(path, of, first):
+            if not is_part_of(path, of, first):
                 starts = range(first, first + part, batch)
                 made = np.concatenate([_levels(make(range(start, start + batch))) for start in starts])
                 with writing(path), atomic_write(path) as file:
@@ -106,7 +106,7 @@ class _Part(NamedTuple):
         return np.frombuffer(data, np.uint8).reshape(self.shape)
 
 
-def _stands(path: Path, of: str, first: int) -> bool:
+def is_part_of(path: Path, of: str, first: int) -> bool:
     """Whether the file of this run and this place is there, to the bit."""
     note = path.with_suffix(".json")
     try:

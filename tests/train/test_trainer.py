@@ -215,6 +215,16 @@ def test_a_full_disk_is_one_error_and_the_last_checkpoint_stands(config, stopped
     assert load_denoiser(run, "last")[1] == config and saved(run) == [2]
 
 
+@pytest.mark.parametrize("what", [{"seed": 9}, {"light": "linear"}])
+def test_settings_of_another_run_are_not_taken(config, stopped, tmp_path, what):
+    run, other = shutil.copytree(stopped, tmp_path / "run"), dataclasses.replace(config, **what)
+    other.save(run / "config.toml")
+    with pytest.raises(InputError, match=r"no last checkpoint that can be read .*it is of another run"):
+        load_denoiser(run, "last")
+    with pytest.raises(InputError, match="it is of another run"):
+        train(other, run, resume=True)
+
+
 def test_a_disk_that_fills_up_within_a_checkpoint_is_one_error(whole, tmp_path, caplog, monkeypatch):
     async def fill_up():
         raise OSError("full")

@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from jaxisp.errors import printable_lines
 from jaxisp.gap.axes.null_bank import bank
 from jaxisp.gap.criteria import CRITERIA
 from jaxisp.gap.report import advice
@@ -115,7 +116,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     shown = _clear(report)[:_PLOTS]
     others = [w for w in where if w not in shown and w["share"] >= _LEAST_SHARE]
     statistics = report["kind"] == "clean+noisy"
-    return _ENVIRONMENT.get_template("report.html").render(
+    page = _ENVIRONMENT.get_template("report.html").render(
         kind=_KINDS[report["kind"]],
         verdict=sentence(report),
         summary=_summary(report),
@@ -138,6 +139,7 @@ def html(report: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         downstream=downstream_part(report.get("downstream")),
         data=_data(report),
     )
+    return printable_lines(page)
 
 
 def sentence(report: Mapping[str, Any]) -> str:
