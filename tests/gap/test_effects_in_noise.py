@@ -58,7 +58,6 @@ def test_stages_do_nothing_at_off(models, light):
             np.testing.assert_allclose(same, image, atol=1e-6, err_msg=node.name)
 
 
-@pytest.mark.optimised
 @pytest.mark.parametrize("name", ONLY_HERE)
 def test_every_move_of_what_shows_here_only_does(models, light, name):
     """Noise in the pictures of the same keys. What it is like shows beside its strength, the first move."""
