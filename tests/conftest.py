@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jaxisp.process.environment import one_blas_thread
 from jaxisp.process.memory import forget_compiled
-from tests.programs import kept_programs
+from tests.programs import kept_programs, share_contexts
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
 # XLA cuts a program in parts to compile them on all cores; the workers use these already
@@ -34,6 +34,9 @@ from hypothesis import settings
 
 from jaxisp.cli import common
 from jaxisp.gap import parallel
+
+if version("jaxlib").startswith("0.10."):  # in others a private name may be another
+    share_contexts()
 
 settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True)
 settings.load_profile("ci")

@@ -73,7 +73,6 @@ PAIRED |= {("gamma", SPACES[0], "4:2:0"), ("sRGB", SPACES[1], "4:4:4")}
     ("curve", "name", "subsampling"),
     [pytest.param(*case, marks=[pytest.mark.slow] * (case not in PAIRED)) for case in CODED],
 )
-@pytest.mark.optimised
 def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
     """The file is converted by littleCMS, coded by libjpeg, and read back."""
     icc = profile(name, COLORANTS[name], CURVES[curve])
@@ -88,7 +87,6 @@ def test_it_works_in_the_files_own_colour_space(name, subsampling, curve):
 
 
 @pytest.mark.parametrize("name", ["Display P3", "ProPhoto RGB"])
-@pytest.mark.optimised
 def test_it_works_in_a_space_that_exif_states_by_numbers(name):
     """The file is converted by the definition of its space."""
     own, srgb = colour.RGB_COLOURSPACES[name], colour.RGB_COLOURSPACES["sRGB"]
@@ -108,7 +106,6 @@ def test_it_works_in_a_space_that_exif_states_by_numbers(name):
 
 
 @pytest.mark.parametrize("stated", ["profile", "EXIF"])
-@pytest.mark.optimised
 def test_the_less_likely_way_to_convert_is_found_where_the_original_is_known(stated, rng):
     """A profile that was applied in floats, and Adobe RGB of EXIF that littleCMS made, at high quality."""
     noisy = np.clip(PICTURE + rng.normal(0, 10, PICTURE.shape), 0, 255).astype(np.uint8)

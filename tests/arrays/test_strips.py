@@ -83,7 +83,9 @@ def test_gradients_in_strips_go_to_every_frame(height, rng, small):
     change = jax.tree.map(jnp.ones_like, frames)
 
     def moved(call):
-        return jax.jvp(lambda f: call(f | {"still": still}, 0.7), (frames,), (change,))[1]
+        return jax.jit(lambda at: jax.jvp(lambda f: call(f | {"still": still}, 0.7), (at,), (change,))[1])(
+            frames
+        )
 
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5), moved(strips), moved(fn)
@@ -103,15 +105,15 @@ def test_gradients_in_strips_go_to_every_frame(height, rng, small):
 def test_large_frames_of_the_stages_that_use_strips(width, smooth, rng, monkeypatch):
     image = jnp.asarray(rng.random((305, width)), jnp.float32)
 
-    def both():
+    def both(image):
         y, pull = jax.vjp(smooth, image)
         return y, pull(jnp.cos(7 * y))[0]
 
-    want = both()
+    want = jax.jit(both)(image)
     monkeypatch.setattr(strips, "_LARGE", 2000)
     monkeypatch.setattr(strips, "_STRIP", 0)
     jax.clear_caches()
-    got = both()
+    got = jax.jit(both)(image)
     for a, b in zip(got, want):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
 

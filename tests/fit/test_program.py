@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from jaxisp.color import rgb_to_ycbcr_planes
-from jaxisp.fit import model
 from jaxisp.fit.journal import Journal
 from jaxisp.fit.program import CHROMA, COLOURS, jacobian_shape, normal_equations
 from jaxisp.fit.search import Options, Search, _again
 from jaxisp.fit.solve import Fit
-from jaxisp.fit.tiles import prepare, with_source
+from jaxisp.fit.tiles import prepare
 
 pytestmark = pytest.mark.optimised
 
@@ -97,35 +96,6 @@ def test_a_step_by_another_choice_s_derivatives_is_nearly_one_by_its_own(fitted)
     near = other.beginning(origin, fit.equations(origin)).objective
     assert own < 0.9 * begun
     assert begun - near == pytest.approx(begun - own, rel=0.1)
-
-
-@pytest.mark.parametrize("once", (True, False))
-def test_a_mix_is_the_weighted_mean_of_two_demosaickers(own, once):
-    shot = prepare(own[1])
-
-    def source(*args, **given):
-        design = model.Design(*args, **given)
-        return np.asarray(with_source(shot.chunks[0], shot.cfa, design, once=once).source)
-
-    one, other = source("demosaic_bilinear"), source("demosaic_ahd_libraw")
-    mixed = source("demosaic_bilinear", mixed=("demosaic_ahd_libraw", 0.35))
-    np.testing.assert_allclose(mixed, 0.65 * one + 0.35 * other, atol=1e-4)
-    assert np.abs(other - one).max() > 0.01
-
-
-@pytest.mark.parametrize(
-    "design",
-    [
-        model.Design("demosaic_rcd"),
-        model.Design("demosaic_lmmse"),
-        model.Design("demosaic_lmmse", passes=1, mixed=("demosaic_rcd", 0.35)),
-    ],
-)
-def test_the_program_that_is_soon_compiled_demosaicks_alike(own, design):
-    shot = prepare(own[1])
-    quick, slow = (with_source(shot.chunks[0], shot.cfa, design, once=once).source for once in (True, False))
-    np.testing.assert_allclose(quick, slow, atol=1e-4)
-    assert np.asarray(slow).std() > 0.01
 
 
 def test_the_loss_of_slopes_is_that_of_a_render_to_the_bit(fitted):

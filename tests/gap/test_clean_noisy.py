@@ -28,7 +28,6 @@ from jaxisp.gap.simulator.model import MIXING, build, plain_freedom
 from jaxisp.io import write_png
 from jaxisp.io.datasets import Loaded, open_dataset
 from jaxisp.io.settings import Settings
-from jaxisp.pipeline import Chain, run, stage
 from jaxisp.recipe import Recipe
 from jaxisp.testing import smooth_image
 from tests.gap.schema import keeps_the_schema
@@ -307,18 +306,6 @@ def test_demosaicking_of_square_roots_is_found(tmp_path):
     pairs = clean_pairs([pair.load() for pair in open_dataset(tmp_path).pairs], 0.0)
     camera = fit_mean(None, pairs, Split((0, 2), (1, 3)), None).camera
     assert (camera.cfa, camera.algorithm, camera.late, camera.gamma) == ("GRBG", "vng", True, 2.0)
-
-
-def test_what_is_demosaicked_is_companded_and_expanded():
-    camera = Camera(None, "GRBG", "bilinear", gamma=2.0)
-    model = camera.whole_model(camera.mean_model({}), candidates("clean+noisy"))
-    names = [node.name for node in model.chain.nodes]
-    at = names.index("companding")
-    assert names[at : at + 3] == ["companding", "demosaicking", "expansion"]  # no effect between
-    mosaic = jnp.asarray(smooth_image((24, 26), 1), jnp.float32)
-    found = run(Chain(model.chain.nodes[at : at + 3]), model.shared, mosaic)
-    rooted = run(stage("demosaic_bilinear", cfa="GRBG"), {}, jnp.sqrt(mosaic))
-    np.testing.assert_allclose(found, rooted**2, atol=1e-5)
 
 
 @pytest.mark.slow

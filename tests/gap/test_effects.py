@@ -100,7 +100,6 @@ _DONE_BY = {
 }
 
 
-@pytest.mark.optimised
 def test_every_move_shows(model):
     """Of what does not show here, and of film grain, see `test_effects_in_noise`."""
     light = mosaics()

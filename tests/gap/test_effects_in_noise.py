@@ -8,7 +8,7 @@ import pytest
 from jaxisp.gap import EFFECTS
 from jaxisp.gap.base.plain_clean import Camera
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, RAW_JPEG, candidates
-from jaxisp.pipeline import Gate, run
+from jaxisp.pipeline import Chain, Gate, run, stage
 from jaxisp.testing import smooth_image
 from tests.gap.test_effects import VOCABULARY
 
@@ -58,7 +58,6 @@ def test_stages_do_nothing_at_off(models, light):
             np.testing.assert_allclose(same, image, atol=1e-6, err_msg=node.name)
 
 
-@pytest.mark.optimised
 @pytest.mark.parametrize("name", ONLY_HERE)
 def test_every_move_of_what_shows_here_only_does(models, light, name):
     """Noise in the pictures of the same keys. What it is like shows beside its strength, the first move."""
@@ -71,3 +70,15 @@ def test_every_move_of_what_shows_here_only_does(models, light, name):
         z[i] += model.steps[i]
         change = model.render(z, light, KEYS) - model.render(start, light, KEYS)
         assert np.abs(change).max() > 1e-4, model.coordinates[i]
+
+
+def test_what_is_demosaicked_is_companded_and_expanded():
+    camera = Camera(None, "GRBG", "bilinear", gamma=2.0)
+    model = camera.whole_model(camera.mean_model({}), candidates("clean+noisy"))
+    names = [node.name for node in model.chain.nodes]
+    at = names.index("companding")
+    assert names[at : at + 3] == ["companding", "demosaicking", "expansion"]  # no effect between
+    mosaic = jnp.asarray(smooth_image((24, 26), 1), jnp.float32)
+    found = run(Chain(model.chain.nodes[at : at + 3]), model.shared, mosaic)
+    rooted = run(stage("demosaic_bilinear", cfa="GRBG"), {}, jnp.sqrt(mosaic))
+    np.testing.assert_allclose(found, rooted**2, atol=1e-5)

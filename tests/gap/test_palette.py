@@ -63,7 +63,6 @@ def reported(folder: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     return report, next(row for row in report["ranking"] if row["effect"] == "color_matrix")
 
 
-@pytest.mark.optimised
 def test_beside_grey_scenes_the_matrix_is_a_usual_one_and_nothing_is_missing(tmp_path):
     """Fitted, it imitated what compression takes of the noise in their colours: 2.2 floors, "unknown"."""
     report, row = reported(tmp_path, GREY)

@@ -24,8 +24,6 @@ from jaxisp.stages.balance import ColorMatrix, WhiteBalance
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 from tests.gap.scenes import scenes
 
-pytestmark = pytest.mark.optimised
-
 
 def test_a_given_camera_has_the_stages_that_are_its_own():
     camera = standard_camera()

@@ -23,7 +23,6 @@ from jaxisp.gap.simulator.effects import candidates
 from jaxisp.gap.simulator.noise import noise_indices, noisier
 from jaxisp.testing import smooth_image
 
-pytestmark = pytest.mark.optimised
 CLEAN = CRITERIA["clean+noisy"]
 
 SIDE, COUNT, SHIFT = 80, 2, 0.03

@@ -13,7 +13,7 @@ import scipy.ndimage as ndi
 import skimage.data
 
 from jaxisp.arrays.extents import Extent
-from jaxisp.cfa import PATTERNS, masks, select, shifted
+from jaxisp.cfa import PATTERNS, masks, shifted, size
 from jaxisp.pipeline import stage
 from jaxisp.stages.demosaic.homogeneity import _cube_root
 from jaxisp.testing import smooth_image
@@ -42,8 +42,10 @@ def run(name, image, **static):
 
 
 def mosaic_of(rgb, cfa="RGGB"):
-    at = masks(rgb.shape[:2], cfa)
-    return np.asarray(select(at, *(jnp.asarray(rgb[..., c]) for c in range(3))))
+    """By NumPy: a dozen operations of each size would be compiled one by one."""
+    n, (rows, columns) = size(cfa), np.indices(rgb.shape[:2])
+    filters = np.array(["RGB".index(name) for name in cfa]).reshape(n, n)
+    return np.take_along_axis(np.asarray(rgb), filters[rows % n, columns % n][..., None], -1)[..., 0]
 
 
 @functools.cache

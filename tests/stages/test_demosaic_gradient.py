@@ -1,5 +1,7 @@
 """Demosaicking: the derivative in both modes."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from jaxisp.pipeline import stage
 from jaxisp.testing import smooth_image
+from tests.gradients import both_modes
 from tests.stages.test_demosaic import SHAPE, compiled
 
 VARIANTS = [
@@ -38,12 +41,11 @@ VARIANTS = [
 def test_gradient_holds_the_choice_constant(name, x64):
     """Between two changes of a choice the output is linear in the mosaic: the derivative says by how much."""
     mosaic, step = smooth_image(SHAPE), np.random.default_rng(1).standard_normal(SHAPE)
-    fn, h = compiled(name), 1e-8
-    value, tangent = jax.jvp(fn, (mosaic,), (step,))
-    moved = np.asarray(fn(mosaic + h * step) - fn(mosaic - h * step)) / (2 * h)
+    weights, h = np.random.default_rng(2).standard_normal((*SHAPE, 3)), 1e-8
+    both = jax.jit(lambda m: both_modes(partial(stage(name), {}), (m,), (step,), weights))
+    _, tangent, (grad,) = both(mosaic)
+    moved = np.asarray(both(mosaic + h * step)[0] - both(mosaic - h * step)[0]) / (2 * h)
     np.testing.assert_allclose(moved, tangent, atol=1e-5)
-    weights = np.random.default_rng(2).standard_normal(value.shape)
-    grad = jax.jit(jax.grad(lambda m: jnp.sum(fn(m) * weights)))(mosaic)
     np.testing.assert_allclose(np.sum(grad * step), np.sum(tangent * weights), rtol=1e-10)
 
 
@@ -59,12 +61,11 @@ def test_reverse_mode_is_the_transpose_of_forward_mode(name, static, x64):
 
         @jax.jit
         def both(mosaics, tangent, cotangent, fn=fn):
-            _, moved = jax.jvp(fn, (mosaics,), (tangent,))
-            return moved, jax.vjp(fn, mosaics)[1](cotangent)[0]
+            return both_modes(fn, (mosaics,), (tangent,), cotangent)
 
         for _ in range(3):
             tangent, cotangent = rng.standard_normal(mosaics.shape), rng.standard_normal((*mosaics.shape, 3))
-            moved, collected = both(mosaics, tangent, cotangent)
+            _, moved, (collected,) = both(mosaics, tangent, cotangent)
             np.testing.assert_allclose(np.vdot(collected, tangent), np.vdot(cotangent, moved), rtol=1e-10)
 
 

@@ -10,13 +10,13 @@ import rawpy
 import scipy.ndimage as ndi
 import skimage.data
 
-from jaxisp.cfa import PATTERNS, XTRANS, is_xtrans, masks, select, shifted, size
+from jaxisp.cfa import PATTERNS, XTRANS, is_xtrans, masks, shifted, size
 from jaxisp.color import SRGB_TO_XYZ
 from jaxisp.io.dng import write_dng
 from jaxisp.pipeline import Chain, run, run_in_strips, stage
 from jaxisp.stages.choice import XTRANS_DEMOSAICKERS, Demosaicking
 from jaxisp.testing import smooth_image
-from tests.stages.test_demosaic import inside
+from tests.stages.test_demosaic import inside, mosaic_of
 
 FULL = 65535
 PHASES = [shifted(XTRANS, *by) for by in np.ndindex(6, 3)]
@@ -32,10 +32,6 @@ def compiled(name, **static):
 
 def demosaicked(name, mosaic, **static):
     return np.asarray(compiled(name, **static)(jnp.asarray(mosaic)))
-
-
-def mosaic_of(rgb, cfa):
-    return np.asarray(select(masks(rgb.shape[:2], cfa), *(jnp.asarray(p) for p in np.moveaxis(rgb, -1, 0))))
 
 
 def decibels(error):

@@ -15,6 +15,7 @@ from jaxisp.stages.denoise.bilateral import (
     bilateral_planes,
 )
 from jaxisp.testing import smooth_image
+from tests.gradients import both_modes
 
 SIZES = ((9, 14), (1, 6), (2, 7))  # radius 2 also reaches beyond both borders
 filtered = jax.jit(bilateral_plane, static_argnums=4)
@@ -109,13 +110,13 @@ def test_forward_mode_is_the_transpose_of_reverse_mode(rng, x64):
     arguments = (a, b), guide, np.array([1.2, 2.5]), np.array([0.2, 0.4])
     change = jax.tree.map(lambda x: rng.standard_normal(x.shape), arguments)
     cotangent = tuple(rng.standard_normal((2, *a.shape)))
-    batched = jax.jit(jax.vmap(lambda *x: bilateral_planes(*x, 2)))
-    out, tangent = jax.jit(lambda x, d: jax.jvp(batched, x, d))(arguments, change)
-    pulled = jax.jit(lambda x, c: jax.vjp(batched, *x)[1](c))(arguments, cotangent)
+    batched = jax.vmap(lambda *x: bilateral_planes(*x, 2))
+    both = jax.jit(lambda *x: both_modes(batched, x, change, cotangent))
+    out, tangent, pulled = both(*arguments)
     leaves = jax.tree.leaves
     inner = sum(np.sum(x * y) for x, y in zip(leaves(pulled), leaves(change)))
     np.testing.assert_allclose(sum(np.sum(t * c) for t, c in zip(tangent, cotangent)), inner, rtol=1e-10)
-    ends = [batched(*jax.tree.map(lambda x, d: x + h * d, arguments, change)) for h in (1e-6, -1e-6)]  # noqa: B023
+    ends = [both(*jax.tree.map(lambda x, d: x + h * d, arguments, change))[0] for h in (1e-6, -1e-6)]  # noqa: B023
     for now, t, up, down in zip(out, tangent, *ends):
         np.testing.assert_allclose(t, (up - down) / 2e-6, atol=1e-6)
         assert np.abs(now - (up + down) / 2).max() < 1e-6

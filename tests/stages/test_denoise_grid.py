@@ -15,6 +15,7 @@ from jaxisp.stages.denoise import grid
 from jaxisp.stages.denoise.bilateral import Bilateral, bilateral, bilateral_plane
 from jaxisp.stages.denoise.grid import grid_planes
 from jaxisp.testing import smooth_image
+from tests.gradients import both_modes
 
 filtered = jax.jit(grid_planes, static_argnums=(4, 5))
 SHAPE = (57, 70)  # of most tests: compilation is what takes time
@@ -148,12 +149,11 @@ def test_gradient_in_both_modes_equals_finite_differences(shape, cell, large, rn
 
     @jax.jit  # one program: compilation is what takes time
     def all_of_it(arguments):
-        value, forward = jax.jvp(loss, (arguments,), (turn,))
-        return value, forward, jax.grad(loss)(arguments)
+        return both_modes(loss, (arguments,), (turn,), 1.0)
 
     ends = [all_of_it(jax.tree.map(lambda x, d: x + h * d, arguments, turn))[0] for h in (1e-6, -1e-6)]  # noqa: B023
     want = (ends[0] - ends[1]) / 2e-6
-    _, forward, slopes = all_of_it(arguments)
+    _, forward, (slopes,) = all_of_it(arguments)
     assert all(np.abs(s).max() > 1e-3 for s in jax.tree.leaves(slopes))
     reverse = sum(np.sum(s * d) for s, d in zip(jax.tree.leaves(slopes), jax.tree.leaves(turn)))
     np.testing.assert_allclose(reverse, want, rtol=1e-6)

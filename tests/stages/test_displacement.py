@@ -10,6 +10,7 @@ from scipy import ndimage
 from jaxisp.pipeline import stage
 from jaxisp.stages import optics
 from jaxisp.stages.optics import displacement
+from tests.gradients import both_modes
 
 from .lens import CENTRE, H, W, apply, offsets, picture, squared_radius
 
@@ -117,10 +118,9 @@ def test_the_gradient_of_displacement_is_the_transpose_of_its_tangent(name, shap
 
     @jax.jit
     def both_ways(given, turn, weights):
-        _, tangent = jax.jvp(lambda p, x: node(p, x), given, turn)
-        return tangent, jax.vjp(lambda p, x: node(p, x), *given)[1](weights)
+        return both_modes(lambda p, x: node(p, x), given, turn, weights)
 
-    tangent, (by_params, by_image) = both_ways((params, image), (moved, change), weights)
+    _, tangent, (by_params, by_image) = both_ways((params, image), (moved, change), weights)
     backward = sum(0.5 * jnp.sum(v) for v in jax.tree.leaves(by_params)) + jnp.sum(by_image * change)
     np.testing.assert_allclose(jnp.sum(tangent * weights), backward, rtol=1e-9)
 

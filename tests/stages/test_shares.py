@@ -30,15 +30,23 @@ def test_the_derivative_at_0_is_what_a_member_changes(name, kind, field, rng):
     """Pictures are linear in the shares, so that the step from 0 to 1 is the derivative anywhere."""
     size = (14, 18) if name == "demosaicking" else (14, 18, 3)
     image = jnp.asarray(rng.uniform(0.1, 0.9, size), jnp.float32)
-    off = jnp.zeros(len(getattr(kind(), field)))
+    one = np.eye(len(getattr(kind(), field)), dtype=np.float32)
+    off = 0 * one[0]
     node = stage(name)
-    shot = jax.jit(lambda shares: run(node, {node.name: kind(**{field: shares})}, image))
-    slopes = jax.jit(jax.jacfwd(shot))(off)
-    weights = jnp.asarray(rng.standard_normal(slopes.shape[:-1]), jnp.float32)
-    back = jax.jit(jax.grad(lambda shares: (weights * shot(shares)).sum()))(off)
-    changes = [np.asarray(shot(off.at[k].set(1.0)) - shot(off)) for k in range(len(off))]
-    still = sum(not change.any() for change in changes)
-    assert still == (name == "demosaicking")  # what all shares 0 leave is one of its members
+    weights = rng.standard_normal((14, 18, 3)).astype(np.float32)
+
+    def shot(shares):
+        return run(node, {node.name: kind(**{field: shares})}, image)
+
+    @jax.jit  # one program: compilation is what takes time
+    def all_of_it(shares):
+        _, push = jax.linearize(shot, shares)
+        return shot(shares), jax.vmap(push, out_axes=-1)(one), jax.linear_transpose(push, shares)(weights)[0]
+
+    still, slopes, back = (np.asarray(v) for v in all_of_it(off))
+    changes = [np.asarray(all_of_it(member)[0]) - still for member in one]
+    unmoved = sum(not change.any() for change in changes)
+    assert unmoved == (name == "demosaicking")  # what all shares 0 leave is one of its members
     for k, change in enumerate(changes):
         np.testing.assert_allclose(slopes[..., k], change, atol=1e-5)
         assert back[k] == pytest.approx(float((weights * slopes[..., k]).sum()), rel=1e-3, abs=1e-3)
