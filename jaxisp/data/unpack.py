@@ -19,7 +19,8 @@ from jaxisp.io.files import MOST_NAME, open_input
 MOST_FILES = 100_000
 """Of an archive, with its folders."""
 _MOST_PATH = 1000  # bytes of a name with its folders
-_MOST_HEADER = 16 << 10  # bytes of what stands before a file of a tar, for its long name and the like
+_MOST_HEADER = 4 << 10  # bytes of what stands before a file of a tar, for its long name and the like
+_MOST_SHARED = 100  # entries of a header that is for all files of a tar
 _MOST_LIST = 64 << 20  # bytes of a zip's list of files
 _RATIO, _FREE = 4, 16 << 20  # pictures hardly compress
 _CHUNK, _BLOCK = 1 << 20, 1 << 16
@@ -169,6 +170,8 @@ def _tarred(path: Path, most: int) -> Iterator[Member]:
         )
         while (info := archive.next()) is not None:
             archive.members.clear()  # it would keep all
+            if len(archive.pax_headers) > _MOST_SHARED:  # each file gets a copy
+                raise InputError(f"{path}: has more than {_MOST_SHARED} entries in a header for all files")
             if info.isdir():
                 if os.path.normpath(info.name) != ".":
                     _parts(info.name, path)

@@ -325,6 +325,7 @@ HOSTILE = {
     "cut after a file.tar": tarred(("a", b"one"), ("b", b"two"), mode="w")[:1024],
     "damaged header.tar": tarred(("a", b"one"), ("bbbb", b"two"), mode="w").replace(b"bbbb", b"bbbc"),
     "header.tar": tarred(("a", b"", {"pax_headers": {"comment": "x" * (1 << 20)}})),
+    "shared header.tar": tarred(("a", b"one"), pax_headers={str(i): "" for i in range(101)}),
     "name.tar": tarred(("a" * 20_000, b"one"), format=tarfile.GNU_FORMAT),
     "its own name.zip": zipped(("a", "one"), ("its_own_name.zip", "two")),
     "the note.tar": tarred(("a", b"one"), ("SOURCE.json", b"two")),
