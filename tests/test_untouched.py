@@ -244,12 +244,20 @@ def test_what_stands_beside_a_set_that_is_fetched(fetching, capsys):
     assert main(["data", "fetch", "kodak"]) == 0 and everything(fetching) == before
 
 
-@pytest.mark.parametrize("name", ["small", SUMS, ".small.lock", ".small.partial", f".{SUMS}.lock"])
+PART = ".small.partial"
+FETCHED = ["small", SUMS, ".small.lock", PART, f".{SUMS}.lock"]
+FETCHED += [f"{PART}/{name}" for name in (".a.bin.part", ".a.bin.etag", "a.bin", "SOURCE.json", "of/another")]
+
+
+@pytest.mark.parametrize("name", FETCHED)
 def test_no_link_or_device_is_followed_or_replaced_by_fetching(fetching, capsys, name):
     (fetching / "mine").mkdir(exist_ok=True)
-    for special in (*special_files(fetching / "out"), "to a folder"):
+    (fetching / "out" / name).parent.mkdir(parents=True, exist_ok=True)
+    for special in (*special_files(fetching / "out"), "to a folder", "hard link"):
         if special == "to a folder":
             (fetching / "out" / name).symlink_to(fetching / "mine")
+        elif special == "hard link":
+            os.link(fetching / "out" / "target", fetching / "out" / name)
         else:
             os.rename(fetching / "out" / special, fetching / "out" / name)
         before = everything(fetching)

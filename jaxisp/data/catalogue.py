@@ -14,9 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxisp.data.download import check_own, digest_of, download
 from jaxisp.data.unpack import unpack
 from jaxisp.errors import InputError, short
-from jaxisp.io.files import kind_of, output_folder, read_json, write_text, writing
+from jaxisp.io.digests import is_sealed, sealed_json
+from jaxisp.io.files import files_below, kind_of, output_folder, parse_json, read_text, write_text, writing
 from jaxisp.io.locks import locked
 from jaxisp.process.cache import user_cache
 
@@ -216,20 +218,23 @@ def fetch(name: str | PublicSet, *, tick: Tick = lambda done, total, text: None)
             return folder
         _check_place(folder)
         _check_place(partial)
+        for path in files_below(partial):  # before any of it is read, or the first of a set is fetched
+            check_own(path)
         sums = read_sums(root)
         with writing(folder):
             found = [
                 _fetch_file(wanted, f, output_folder(partial), sums.get(f.url), tick) for f in wanted.files
             ]
             for file in wanted.files:
-                _unpack(partial / file.name, file.archive)
+                _unpack(partial / file.name, file.archive, {SOURCE, *(f.name for f in wanted.files)})
             for file in wanted.files:  # not before: what kills an unpacking should not cost the download
                 if file.archive:
                     (partial / file.name).unlink()
             with locked(root, name=f".{SUMS}.lock", wait=True):  # another may fetch another set
-                _note(root / SUMS, {f["url"]: f"sha256:{f['sha256']}" for f in found} | read_sums(root))
+                sums = {f["url"]: f"sha256:{f['sha256']}" for f in found} | read_sums(root)
+                write_text(root / SUMS, sealed_json(_table(sums)))
             about = {**dataclasses.asdict(wanted), "files": found, "fetched": time.strftime("%F")}
-            _note(partial / SOURCE, about)
+            write_text(partial / SOURCE, _table(about))
             if os.path.lexists(folder):
                 folder.rmdir()  # it is empty
             partial.replace(folder)
@@ -245,8 +250,6 @@ def _check_place(folder: Path) -> None:
 def _fetch_file(
     wanted: PublicSet, file: RemoteFile, partial: Path, before: str | None, tick: Tick
 ) -> dict[str, Any]:
-    from jaxisp.data.download import digest_of, download
-
     expected = file.digest or before
     try:
         path = download(file.url, partial / file.name, expected, tick)
@@ -260,20 +263,26 @@ def _fetch_file(
     except ValueError as error:
         raise InputError(
             f"{wanted.name}: {file.url} is not the file that it was: {expected} was expected. If it has "
-            f"changed for a good reason, remove it from {partial.parent / SUMS}"
+            f"changed for a good reason, remove its entry, "
+            f'and the entry "digest", from {partial.parent / SUMS}'
         ) from error
     about = {"url": file.url, "name": file.name, "bytes": path.stat().st_size}
     return {**about, "sha256": digest_of(path, "sha256"), "checked_against": expected}
 
 
-def _unpack(path: Path, archive: str | None) -> None:
-    """Unpack beside itself; where something is wrong with it, it is removed, so that it is fetched again."""
+def _unpack(path: Path, archive: str | None, taken: set[str]) -> None:
+    """Unpack beside itself, but nothing that has one of the names that are taken there.
+
+    Where something is wrong with it, it is removed, so that it is fetched again.
+    """
     if archive is None:
         return
     unpacked = path.with_name(f".{path.name}.unpacked")
     shutil.rmtree(unpacked, ignore_errors=True)  # of a call that was killed
     try:
         unpack(path, archive, unpacked)
+        for name in sorted(taken & set(os.listdir(unpacked))):
+            raise InputError(f"{path}: holds {name}, in whose place another file of the set has to be")
         for found in unpacked.iterdir():
             place = path.with_name(found.name)
             if place.is_dir():
@@ -290,11 +299,22 @@ def _unpack(path: Path, archive: str | None) -> None:
 def read_sums(root: Path) -> dict[str, str]:
     """Checksums of files fetched before, by URL.
 
+    They hold their own digest. A table without one, of a version before or changed by hand, is read too: it
+    is what was trusted once. The next set that is fetched adds the digest.
+
     Raises:
         InputError: they are damaged, or another program's: what was trusted once has to stay so.
     """
     path = root / SUMS
-    table = read_json(path) if os.path.lexists(path) else {}
+    check_own(path)
+    text = read_text(path) if os.path.lexists(path) else "{}"
+    table = parse_json(text, str(path))
+    if "digest" in table and not is_sealed(text):
+        raise InputError(
+            f"{path}: is not what was written, by its digest; it is damaged, or was changed. Remove the "
+            'entry "digest" to use it as it is'
+        )
+    table.pop("digest", None)
     for url, digest in table.items():
         if "://" not in url or not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
             raise InputError(
@@ -304,5 +324,5 @@ def read_sums(root: Path) -> dict[str, str]:
     return table
 
 
-def _note(path: Path, table: dict[str, Any]) -> None:
-    write_text(path, json.dumps(table, indent=1) + "\n")
+def _table(entries: dict[str, Any]) -> str:
+    return json.dumps(entries, indent=1) + "\n"

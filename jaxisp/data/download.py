@@ -5,13 +5,15 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from urllib.parse import urlsplit
 
 from jaxisp.errors import InputError, one_line
+from jaxisp.io.files import kind_of, read_text, write_text
 
 _CHUNK = 1 << 16  # what has come of one is lost where the connection breaks
 _TIMEOUT = (10, 60)  # to connect, between bytes [s]
+_ITSELF = os.O_NOFOLLOW | os.O_NONBLOCK
 Tick = Callable[[int, int, str], Any]
 
 
@@ -21,16 +23,19 @@ def download(url: str, path: Path, digest: str | None, tick: Tick) -> Path:
     Raises:
         ConnectionError: no answer, or the connection broke; what has come is kept for the next call.
         ValueError: the file does not have the digest; it is removed.
-        InputError: there is no room for it.
+        InputError: there is no room for it; or it, or what has come of it, is a link, no plain file, or has
+            another name elsewhere: none of these is read or written.
     """
-    pooch = _pooch()
+    pooch, resuming = _pooch(), _Resuming(path, tick)
+    for own in (path, resuming.part, resuming.mark):
+        check_own(own)
     if path.exists() and digest is None:
         return path
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("ERROR")
     try:
-        return Path(pooch.retrieve(url, digest, path.name, path.parent, downloader=_Resuming(path, tick)))
+        return Path(pooch.retrieve(url, digest, path.name, path.parent, downloader=resuming))
     finally:
         logger.setLevel(level)
 
@@ -38,6 +43,17 @@ def download(url: str, path: Path, digest: str | None, tick: Tick) -> Path:
 def digest_of(path: Path, kind: str) -> str:
     """The checksum of a file."""
     return str(_pooch().file_hash(str(path), alg=kind))
+
+
+def check_own(path: Path) -> None:
+    """Raise InputError where something stands that cannot be what was written here: a link, no plain file, or
+    one that is another file too, by a second name."""
+    try:
+        status = os.lstat(path)
+    except FileNotFoundError:
+        return
+    if kind := kind_of(status.st_mode) or ("a hard link of another file" if status.st_nlink > 1 else ""):
+        raise InputError(f"{path}: is {kind}, where a file of our own has to be; move it away")
 
 
 class _Resuming:
@@ -62,7 +78,7 @@ class _Resuming:
         self._forget()
 
     def _get(self, requests: Any, url: str) -> bool:
-        done = self.part.stat().st_size if self.part.exists() else 0
+        done = self._done()
         headers = {"Accept-Encoding": "identity"}
         if done:
             headers["Range"] = f"bytes={done}-"
@@ -75,10 +91,10 @@ class _Resuming:
             done = done if answer.status_code == 206 else 0
             total = done + int(answer.headers.get("Content-Length", 0))
             self._check_room(total - done)
-            self.mark.write_text(
-                json.dumps(answer.headers.get("ETag") or answer.headers.get("Last-Modified"))
+            write_text(
+                self.mark, json.dumps(answer.headers.get("ETag") or answer.headers.get("Last-Modified"))
             )
-            with self.part.open("ab" if done else "wb") as file:
+            with self._opened(done) as file:
                 for chunk in answer.iter_content(_CHUNK):
                     file.write(chunk)
                     done += len(chunk)
@@ -89,10 +105,21 @@ class _Resuming:
             raise ConnectionError(f"{done} of {total} bytes came")
         return True
 
+    def _done(self) -> int:
+        return self.part.stat().st_size if self.part.exists() else 0
+
+    def _opened(self, done: int) -> IO[bytes]:
+        """The file that is gone on with, or a new one: what another program put there meanwhile is left."""
+        if not done:
+            self.part.unlink(missing_ok=True)
+            return self.part.open("xb")
+        check_own(self.part)
+        return open(self.part, "ab", opener=lambda path, flags: os.open(path, flags | _ITSELF))
+
     def _mark(self) -> str | None:
         try:
-            mark = json.loads(self.mark.read_text())
-        except (OSError, ValueError):
+            mark = json.loads(read_text(self.mark))
+        except (ValueError, RecursionError):
             return None
         # a weak tag does not promise the same bytes, and may not be asked for
         return mark if isinstance(mark, str) and not mark.startswith("W/") else None

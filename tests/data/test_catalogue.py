@@ -5,18 +5,23 @@ import http.server
 import io
 import json
 import os
+import re
 import socket
 import tarfile
 import threading
 import warnings
 import zipfile
+from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
 
 from jaxisp.cli import main
-from jaxisp.data.catalogue import SETS, SUMS, PublicSet, RemoteFile, fetch, find_set
+from jaxisp.data import unpack as unpacking
+from jaxisp.data.catalogue import SETS, SUMS, PublicSet, RemoteFile, fetch, find_set, read_sums
+from jaxisp.data.unpack import unpack
 from jaxisp.errors import InputError
+from jaxisp.io.digests import read_sealed
 from jaxisp.io.locks import locked
 
 pytest.importorskip("pooch")
@@ -25,16 +30,20 @@ SHA = f"sha256:{hashlib.sha256(DATA).hexdigest()}"
 
 
 class Server(http.server.BaseHTTPRequestHandler):
-    """Serves `files`; breaks off after `most` bytes of an answer; notes the ranges it was asked for."""
+    """Serves `files`; breaks off after `most` bytes of an answer; notes the ranges it was asked for, and does
+    what may be done meanwhile."""
 
     files: ClassVar[dict[str, bytes]] = {}
     most = len(DATA)
     asked: ClassVar[list[str | None]] = []
     tag = '"one"'
+    meanwhile: ClassVar[list[Callable[[], None]]] = []
 
     def do_GET(self):
         data, wanted = self.files.get(self.path), self.headers.get("Range")
         self.asked.append(wanted)
+        while self.meanwhile:
+            self.meanwhile.pop()()
         if data is None:
             self.send_error(404)
             return
@@ -59,6 +68,7 @@ def server(monkeypatch, tmp_path):
     for name in ("http_proxy", "HTTP_PROXY", "ALL_PROXY", "all_proxy"):
         monkeypatch.delenv(name, raising=False)
     Server.files, Server.most, Server.asked, Server.tag = {"/a.bin": DATA}, len(DATA), [], '"one"'
+    Server.meanwhile = []
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as running:
         threading.Thread(target=running.serve_forever, args=(0.01,), daemon=True).start()
         yield f"http://127.0.0.1:{running.server_port}"
@@ -98,12 +108,54 @@ def test_a_file_that_changed_meanwhile_is_fetched_from_its_start(server):
     Server.files = {"/b.bin": DATA[:5]}
 
 
+@pytest.mark.parametrize("name", [".a.bin.part", ".a.bin.etag", "a.bin"])
+def test_a_folder_in_the_place_of_a_download_is_refused(server, tmp_path, name):
+    (tmp_path / "data é" / ".small.partial" / name).mkdir(parents=True)
+    with pytest.raises(InputError, match=rf"{name}: is a folder, where a file of our own has to be"):
+        fetch(public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    assert Server.asked == []
+
+
+@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_a_link_that_comes_meanwhile_is_not_written_through(server, tmp_path, broken, link):
+    wanted, mine = public(RemoteFile(f"{server}/a.bin", "a.bin", SHA)), tmp_path / "mine"
+    part = tmp_path / "data é" / ".small.partial" / ".a.bin.part"
+    mine.write_bytes(b"mine")
+    if broken:
+        Server.most = 300_000
+        with pytest.raises(InputError, match="run this again to go on"):
+            fetch(wanted)
+        Server.most = len(DATA)
+    Server.meanwhile.append(lambda: (part.unlink(missing_ok=True), link(mine, part)))
+    if broken:
+        with pytest.raises(InputError, match=r"\.a\.bin\.part: is a (hard )?link"):
+            fetch(wanted)
+        part.unlink()
+    assert (fetch(wanted) / "a.bin").read_bytes() == DATA
+    assert mine.read_bytes() == b"mine" and Server.meanwhile == []
+
+
+@pytest.mark.parametrize(
+    "mark", ["", "[" * 100_000, "\udcff", '"' + "x" * (17 << 20)], ids=["empty", "deep", "no text", "large"]
+)
+def test_a_damaged_note_of_a_download_is_as_good_as_none(server, tmp_path, mark):
+    wanted = public(RemoteFile(f"{server}/a.bin", "a.bin", SHA))
+    Server.most = 300_000
+    with pytest.raises(InputError, match="run this again to go on"):
+        fetch(wanted)
+    note = tmp_path / "data é" / ".small.partial" / ".a.bin.etag"
+    note.write_bytes(mark.encode(errors="surrogateescape"))
+    Server.most = len(DATA)
+    assert (fetch(wanted) / "a.bin").read_bytes() == DATA and Server.asked[1] is not None
+
+
 def test_a_wrong_file_is_refused_and_a_recorded_checksum_is_compared(server, tmp_path):
     with pytest.raises(InputError, match="is not the file that it was: sha256:0000"):
         fetch(public(RemoteFile(f"{server}/a.bin", "a.bin", "sha256:" + "0" * 64)))
     wanted, root = public(RemoteFile(f"{server}/a.bin", "a.bin")), tmp_path / "data é"
     folder = fetch(wanted)
-    assert json.loads((root / SUMS).read_text()) == {f"{server}/a.bin": SHA}
+    assert read_sums(root) == {f"{server}/a.bin": SHA}
     for path in folder.iterdir():
         path.unlink()
     Server.files = {"/a.bin": DATA[:-1] + b"x"}
@@ -145,6 +197,46 @@ def test_noted_checksums_that_are_none_are_one_error(server, tmp_path, damage):
         fetch(public(RemoteFile(f"{server}/a.bin", "a.bin", SHA)))
     assert "\n" not in str(caught.value) and Server.asked == []
     assert json.loads((root / SUMS).read_text()) == damage and os.listdir(root) == [SUMS]
+
+
+def test_no_flipped_bit_of_noted_checksums_is_accepted(server, tmp_path):
+    """An entry that is lost would let another file be trusted."""
+    root = tmp_path / "data é"
+    fetch(public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    sums = (root / SUMS).read_bytes()
+
+    def refused(data: bytes) -> bool:
+        (root / SUMS).write_bytes(data)
+        try:
+            read_sums(root)
+        except InputError as error:
+            return "checksums.json: " in str(error)
+        return False
+
+    for place in range(0, 8 * len(sums), 3):
+        flipped = bytearray(sums)
+        flipped[place // 8] ^= 1 << place % 8
+        assert refused(flipped), place
+    assert all(refused(sums[:length]) for length in range(0, len(sums) - 1, 5))
+
+
+def test_checksums_of_a_version_before_are_kept_and_sealed(server, tmp_path):
+    """They, and those that were changed as the error for another file says, do not hold their digest."""
+    root = tmp_path / "data é"
+    root.mkdir()
+    (root / SUMS).write_text(json.dumps({f"{server}/a.bin": SHA, "https://a/b": SHA}))
+    Server.files = {"/a.bin": b"another"}
+    with pytest.raises(InputError, match=r"is not the file that it was.*remove its entry, and the entry"):
+        fetch(public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    Server.files = {"/a.bin": DATA}
+    fetch(public(RemoteFile(f"{server}/a.bin", "a.bin")))
+    assert read_sums(root) == {f"{server}/a.bin": SHA, "https://a/b": SHA}
+    text = read_sealed(root / SUMS)
+    (root / SUMS).write_text(text.replace("https://a/b", "https://a/c"))
+    with pytest.raises(InputError, match=r"is not what was written.*Remove the entry"):
+        read_sums(root)
+    (root / SUMS).write_text(re.sub('"digest": "[^"]*",', "", text))
+    assert read_sums(root)["https://a/b"] == SHA
 
 
 def test_two_that_fetch_the_same(server, tmp_path):
@@ -226,6 +318,17 @@ HOSTILE = {
     "bomb.tar": tarred(("a", bytes(100 << 20))),
     "no archive.tar": b"\x1f\x8b no archive",
     "cut.tar": tarred(("a", bytes(range(256)) * 99))[:-40],
+    "without its checksum.tar": tarred(("a", b"one"))[:-6],
+    "another checksum.tar": tarred(("a", b"one"))[:-8] + bytes(8),
+    "cut xz.tar": tarred(("a", b"one"), mode="w:xz")[:-20],
+    "cut bz2.tar": tarred(("a", b"one"), mode="w:bz2")[:-4],
+    "cut after a file.tar": tarred(("a", b"one"), ("b", b"two"), mode="w")[:1024],
+    "damaged header.tar": tarred(("a", b"one"), ("bbbb", b"two"), mode="w").replace(b"bbbb", b"bbbc"),
+    "header.tar": tarred(("a", b"", {"pax_headers": {"comment": "x" * (1 << 20)}})),
+    "shared header.tar": tarred(("a", b"one"), pax_headers={str(i): "" for i in range(101)}),
+    "name.tar": tarred(("a" * 20_000, b"one"), format=tarfile.GNU_FORMAT),
+    "its own name.zip": zipped(("a", "one"), ("its_own_name.zip", "two")),
+    "the note.tar": tarred(("a", b"one"), ("SOURCE.json", b"two")),
 }
 
 
@@ -241,6 +344,52 @@ def test_hostile_archives_are_refused_whole_and_not_kept(server, tmp_path, name)
     assert left == [] and not list(tmp_path.rglob("outside*")) and not os.path.lexists("/tmp/outside.txt")
     Server.files = {f"/{address}": (zipped if name.endswith("zip") else tarred)(("fine/a.txt", b"a"))}
     assert (fetch(wanted) / "fine" / "a.txt").read_text() == "a"  # fetched again, not the one that failed
+
+
+@pytest.mark.parametrize("name", ["folders.zip", "folders.tar", "deep.zip", "deep.tar", "files.zip"])
+def test_all_that_an_archive_makes_is_counted(tmp_path, monkeypatch, name):
+    """Folders too, and those of a file's name."""
+    monkeypatch.setattr(unpacking, "MOST_FILES", 100)
+    folder = "" if name.endswith("zip") else {"type": tarfile.DIRTYPE}
+    members = {
+        "folders": [(f"{i}/", b"", *([folder] if folder else [])) for i in range(101)],
+        "deep": [("d/" * 60 + "a", b""), ("e/" * 39 + "b", b"")],
+        "files": [(str(i), b"") for i in range(101)],
+    }[name[:-4]]
+    make, path = (tarred if folder else zipped), tmp_path / name
+    path.write_bytes(make(*members))
+    told = "its list has more than 100" if name in ("files.zip", "folders.zip") else "holds more than 100"
+    with pytest.raises(InputError, match=f"{told} files and folders"):
+        unpack(path, name[-3:], tmp_path / "out")
+    path.write_bytes(make(*members[:-1]))
+    unpack(path, name[-3:], tmp_path / "fits")
+
+
+def test_headers_take_no_more_than_files_may(tmp_path, monkeypatch):
+    monkeypatch.setattr(unpacking, "_FREE", 0)
+    path = tmp_path / "a.tar"
+    path.write_bytes(tarred(*[(f"{i}", b"") for i in range(200)]))
+    with pytest.raises(InputError, match="unpacks to more than 4 times its size"):
+        unpack(path, "tar", tmp_path / "out")
+
+
+def test_a_list_of_files_is_not_read_before_it_is_known_to_be_small(tmp_path, monkeypatch):
+    monkeypatch.setattr(unpacking, "_MOST_LIST", 1000)
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped(*[(f"{i}", b"") for i in range(30)]))
+    with pytest.raises(InputError, match="its list of files takes"):
+        unpack(path, "zip", tmp_path / "out")
+
+
+@pytest.mark.parametrize("mode", ["w", "w:gz", "w:bz2", "w:xz"])
+@pytest.mark.parametrize("form", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_each_kind_of_tar_is_unpacked(tmp_path, mode, form):
+    names = ["a" * 90, "b", "d/" * 30 + "c"] + ["é/" * 100 + "long"] * (form != tarfile.USTAR_FORMAT)
+    path = tmp_path / "a.tar"
+    path.write_bytes(tarred(*[(name, name.encode() * 50) for name in names], mode=mode, format=form))
+    unpack(path, "tar", tmp_path / "out")
+    for name in names:
+        assert (tmp_path / "out" / name).read_bytes() == name.encode() * 50
 
 
 @pytest.mark.parametrize("kind", ["zip", "tar"])
