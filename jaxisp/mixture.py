@@ -313,7 +313,7 @@ def _by_branch(
         return images
     which = jnp.clip(params[WHICH], 0, len(branches) - 1)
     size = -(-count // GROUPS)
-    # all in int32: with double precision enabled sums and places are 64-bit integers, which do not mix with it
+    # all in int32: with double precision enabled, sums and places would be 64-bit integers
     counts = jnp.sum(which[:, None] == jnp.arange(len(branches), dtype=jnp.int32)[None], 0, dtype=jnp.int32)
     order = jnp.argsort(which, stable=True).astype(jnp.int32)
     first = jnp.cumsum(counts, dtype=jnp.int32) - counts  # in `order`, of each branch

@@ -34,8 +34,8 @@ from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, section
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
-    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_indices", "sample_keys", "sections",
-    "signature", "spread", "stage",
+    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_indices", "sample_keys",
+    "sections", "signature", "spread", "stage",
 ]  # fmt: skip
 
 

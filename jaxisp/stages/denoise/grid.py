@@ -187,8 +187,8 @@ def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
     """The transpose of `_collect`."""
 
     def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
-        z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
-        terms = [fused_sum(_tent(u[None, None] - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
+        z, u = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None], u[None, None]
+        terms = [fused_sum(_tent(u - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
         return _sum(terms, _UNROLLED)
 
     def looked_up(u: jax.Array, grid: jax.Array) -> jax.Array:
@@ -215,10 +215,11 @@ def _looked_up(
     """
     bins, count, length = grid.shape
     lower = jnp.clip(jnp.floor(u), 0, bins - 2)
-    above = u - lower
+    above = (u - lower)[None, None]
     offsets, weights = (np.stack(k)[:, None, :, None] for k in zip(*cells))
     planes = np.arange(count, dtype=np.int32)[:, None, None] * length
-    own = lower.astype(jnp.int32) * (count * length) + np.arange(u.shape[1], dtype=np.int32)
+    place = np.arange(u.shape[1], dtype=np.int32)[None]
+    own = (lower.astype(jnp.int32) * (count * length) + place)[None, None]
 
     def bin_(up: int) -> jax.Array:
         near = jnp.take(grid.reshape(-1), own + (offsets + planes + up * count * length), mode="clip")
