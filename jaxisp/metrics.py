@@ -135,8 +135,8 @@ def match_moments(clean: jax.Array, output: jax.Array) -> jax.Array:
     _check_shapes(clean, output)
 
     def moments(image: jax.Array) -> tuple[jax.Array, jax.Array]:
-        mean = image.mean(axis=(0, 1))
-        return mean, safe_sqrt(((image - mean) ** 2).mean(axis=(0, 1)))
+        mean = image.mean(axis=(0, 1), keepdims=True)
+        return mean, safe_sqrt(((image - mean) ** 2).mean(axis=(0, 1), keepdims=True))
 
     (mean, deviation), (new_mean, new_deviation) = moments(clean), moments(output)
     return (clean - mean) * safe_divide(new_deviation, deviation, _FLAT) + new_mean

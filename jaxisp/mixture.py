@@ -273,7 +273,7 @@ def _degrade(
     drawing, _ = sample_halves(key, start, len(images))
     choosing = jax.vmap(jax.random.fold_in, in_axes=(0, None))(drawing, LAST_INDEX)  # no parameter's name
     chance = jax.vmap(lambda own: jax.random.uniform(own, (), jnp.float32))(choosing)
-    which = jnp.sum(chance[:, None] >= ends[:-1], 1, dtype=jnp.int32)
+    which = jnp.sum(chance[:, None] >= ends[None, :-1], 1, dtype=jnp.int32)
     params: dict[str, Any] = {WHICH: which}
     for i, (name, chain) in enumerate(branches):
         sample = functools.partial(draw, prior=prior[name], like=chain.init())
@@ -313,17 +313,18 @@ def _by_branch(
         return images
     which = jnp.clip(params[WHICH], 0, len(branches) - 1)
     size = -(-count // GROUPS)
-    counts = jnp.sum(which[:, None] == jnp.arange(len(branches)), 0)
-    order = jnp.argsort(which, stable=True)
-    first = jnp.cumsum(counts) - counts  # in `order`, of each branch
-    last_group = jnp.cumsum(-(-counts // size))
+    # all in int32: with double precision enabled, sums and places would be 64-bit integers
+    counts = jnp.sum(which[:, None] == jnp.arange(len(branches), dtype=jnp.int32)[None], 0, dtype=jnp.int32)
+    order = jnp.argsort(which, stable=True).astype(jnp.int32)
+    first = jnp.cumsum(counts, dtype=jnp.int32) - counts  # in `order`, of each branch
+    last_group = jnp.cumsum(-(-counts // size), dtype=jnp.int32)
     first_group = last_group - -(-counts // size)
 
     def run(group: jax.Array) -> jax.Array:
         # groups beyond the last are of no branch; a branch's last group is padded with its first image
-        branch = jnp.sum(group >= last_group)
+        branch = jnp.sum(group >= last_group, dtype=jnp.int32)
         own = jnp.minimum(branch, len(branches) - 1)
-        at = (group - first_group[own]) * size + jnp.arange(size)
+        at = (group - first_group[own]) * size + jnp.arange(size, dtype=jnp.int32)
         rows = order[jnp.clip(first[own] + jnp.where(at < counts[own], at, 0), 0, count - 1)]
         taken_rows = jax.tree.map(lambda v: v[rows], (params, images, keys, extents))
         return lax.switch(branch, runs, *alike(taken_rows))
@@ -331,8 +332,8 @@ def _by_branch(
     runs: list[Callable[..., jax.Array]] = [functools.partial(_run, name, chain) for name, chain in branches]
     runs.append(lambda params, images, keys, extents: images)
     groups = (count + len(branches) * (size - 1)) // size
-    done = lax.map(run, jnp.arange(groups)).reshape(-1, *images.shape[1:])
-    place = jnp.argsort(order) - first[which]  # among the images of its branch
+    done = lax.map(run, jnp.arange(groups, dtype=jnp.int32)).reshape(-1, *images.shape[1:])
+    place = jnp.argsort(order).astype(jnp.int32) - first[which]  # among the images of its branch
     return done[first_group[which] * size + place]
 
 

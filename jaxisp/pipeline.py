@@ -34,8 +34,8 @@ from jaxisp.registry import LARGEST_CELL, REGISTRY, Signature, register, section
 
 __all__ = [
     "REGISTRY", "Chain", "Gate", "Node", "Order", "Params", "Row", "Shuffle", "Signature", "Stage", "Switch",
-    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_keys", "sections", "signature",
-    "spread", "stage",
+    "over_batch", "register", "run", "run_batch", "run_in_strips", "sample_indices", "sample_keys",
+    "sections", "signature", "spread", "stage",
 ]  # fmt: skip
 
 
@@ -489,7 +489,7 @@ def compiled_batch(
     """What `run_batch` compiles."""
     check_backend()
     params = {name: entry(params, name, type(own)) for name, own in node.init().items()}
-    keys = None if key is None else sample_keys(key, start + jnp.arange(len(images)))
+    keys = None if key is None else sample_keys(key, sample_indices(start, len(images)))
     return over_batch(node, params, images, keys)
 
 
@@ -564,6 +564,14 @@ def spread(
         is_leaf=lambda x: isinstance(x, PartitionSpec),
     )
     return jax.shard_map(fn, mesh=mesh, in_specs=in_specs, out_specs=rows, check_vma=False)(*given)
+
+
+def sample_indices(start: Any, count: int) -> jax.Array:
+    """(count,) the global indices of a batch whose first sample has the index `start`.
+
+    They are int32 in every mode of JAX: 64-bit integers would differ from `start` under strict promotion.
+    """
+    return jnp.asarray(start, jnp.int32) + jnp.arange(count, dtype=jnp.int32)
 
 
 def sample_keys(key: jax.Array, indices: jax.Array) -> jax.Array:

@@ -21,7 +21,7 @@ from jaxisp.edits import by_stage, same
 from jaxisp.errors import InputError, meant, one_line, short
 from jaxisp.io.files import parse_toml, read_toml, write_text
 from jaxisp.params import specs, strong
-from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_keys, signature
+from jaxisp.pipeline import Chain, Node, Order, over_batch, sample_indices, sample_keys, signature
 from jaxisp.priors import check_prior, draw, is_traced
 from jaxisp.process.selfcheck import check_backend
 from jaxisp.serialize import decode_node, decode_params, encode_node, encode_params
@@ -457,7 +457,7 @@ def _call(node: Node, params: dict[str, Any], image: jax.Array, key: jax.Array) 
 
 def sample_halves(key: jax.Array, start: Any, count: int) -> tuple[jax.Array, jax.Array]:
     """Per sample, one key for its parameters and one for its noise."""
-    indices = start + jnp.arange(count) if jnp.ndim(start) == 0 else start
+    indices = sample_indices(start, count) if jnp.ndim(start) == 0 else start
     own = sample_keys(key, indices)
     fold = jax.vmap(jax.random.fold_in, in_axes=(0, None))
     return fold(own, 0), fold(own, 1)

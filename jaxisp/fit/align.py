@@ -119,7 +119,7 @@ def covered(
     columns = _positions(w, size_x, alignment.scale_x, alignment.dx, jnp.arange(float(w)))
     inside_y = (rows >= 0) & (rows <= size_y - 1)
     inside_x = (columns >= 0) & (columns <= size_x - 1)
-    return inside_y[:, None] & inside_x
+    return inside_y[:, None] & inside_x[None]
 
 
 def best_orientation(reference: np.ndarray, moving: np.ndarray) -> int:

@@ -100,7 +100,7 @@ def moments(image: Any, flat: Any, edges: Any, xp: Any = np) -> Any:
         detail = in_strips(lambda part: _detail(planes(part)[0], xp), image)
     count = flat.sum((-2, -1))
     per_kind = [
-        xp.stack([channels * count, *(flat * each[:, None]).sum((-2, -1))], -1)
+        xp.stack([channels * count, *(flat[None] * each[:, None]).sum((-2, -1))], -1)
         for channels, each in ((1, y), (2, cb + cr))
     ]
     sharp = edges * detail**2
@@ -204,11 +204,12 @@ def _detrended(plane: Any, xp: Any) -> Any:
     """(rows, columns, 16, 16): each block less the plane that fits it best."""
     b = _blocks(plane, xp)
     arm = (np.arange(BLOCK) - (BLOCK - 1) / 2).astype(plane.dtype)
+    down, across = arm[None, None, :, None], arm[None, None, None]
     power = float((arm**2).sum() * BLOCK)
     b = b - b.mean(axis=(-2, -1), keepdims=True)
-    tilt_y = (b * arm[:, None]).sum(axis=(-2, -1), keepdims=True) / power
-    tilt_x = (b * arm).sum(axis=(-2, -1), keepdims=True) / power
-    return b - tilt_y * arm[:, None] - tilt_x * arm
+    tilt_y = (b * down).sum(axis=(-2, -1), keepdims=True) / power
+    tilt_x = (b * across).sum(axis=(-2, -1), keepdims=True) / power
+    return b - tilt_y * down - tilt_x * across
 
 
 def _detail(plane: Any, xp: Any) -> Any:

@@ -89,7 +89,7 @@ class _Steps(NamedTuple):
         return At(layout.params(self.given.fixed, camera, image), moved)
 
     def lines(self, at: At, place: jax.Array, optics: lens.Lens) -> tuple[list[jax.Array], Any]:
-        geometry = self.given.geometry + at.moved * jnp.asarray(UNITS)
+        geometry = self.given.geometry + at.moved * jnp.asarray(UNITS, at.moved.dtype)
         return _places(place, geometry, optics, self.chunk.corner)
 
     def warp(self, at: At) -> jax.Array:
@@ -153,7 +153,7 @@ def rendered(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) ->
     For the encoder row -1 is row 0 without sampling.
     """
     steps, size = _Steps(problem, given, chunk), problem.steps
-    vectors = jnp.concatenate([vector[None], vector + jnp.diag(size)])
+    vectors = jnp.concatenate([vector[None], vector[None] + jnp.diag(size)])
     unflat = ravel_pytree(steps.at(vector))[1]
     places = materialize(jax.vmap(lambda v: ravel_pytree(steps.at(v))[0])(vectors))
     count, first = len(size), -given.encodes.astype(jnp.int32)
@@ -181,7 +181,7 @@ def rendered(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) ->
                 (old.slopes, new.sums, seen.sums),
             )
         )
-        index = jnp.arange(count)
+        index = jnp.arange(count, dtype=jnp.int32)
         following = jnp.min(jnp.where(given.moving & (index >= now.row), index, count)) + 1
         return _Turn(
             jnp.where(now.row < 0, 0, following),
@@ -191,12 +191,13 @@ def rendered(problem: Problem, given: Given, vector: jax.Array, chunk: Chunk) ->
         )
 
     side = TILE + 2 * AFTER
+    zeros = functools.partial(jnp.zeros, dtype=vector.dtype)  # else float64 with double precision enabled
     nothing = Rendered(
-        Seen(jnp.zeros(chunk.target.size), jnp.zeros(noise.SUMS), jnp.zeros(chunk.target.shape)),
-        jnp.zeros(jacobian_shape(problem)),
-        jnp.zeros((count, noise.SUMS)),
+        Seen(zeros(chunk.target.size), zeros(noise.SUMS), zeros(chunk.target.shape)),
+        zeros(jacobian_shape(problem)),
+        zeros((count, noise.SUMS)),
     )
-    warped, denoised = (jnp.zeros((2, TILES, n, n, 3)) for n in (SIDE, side))
+    warped, denoised = (zeros((2, TILES, n, n, 3)) for n in (SIDE, side))
     start = _Turn(first, warped, denoised, nothing)
     return jax.lax.while_loop(lambda now: now.row <= count, turn, start).found
 
@@ -228,7 +229,8 @@ def _compressed(problem: Problem, given: Given, images: jax.Array) -> jax.Array:
 def _residual(render: jax.Array, chunk: Chunk) -> jax.Array:
     """(3, T, TILE, TILE) of luma and weighted chroma, 0 where the mask is."""
     y, cb, cr = rgb_to_ycbcr_planes(*planes(render - chunk.target))
-    return jnp.stack([y, np.sqrt(CHROMA) * cb, np.sqrt(CHROMA) * cr]) * chunk.mask
+    root = float(np.sqrt(CHROMA))
+    return jnp.stack([y, root * cb, root * cr]) * chunk.mask[None]
 
 
 def _robust(residual: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -260,12 +262,13 @@ def normal_equations(problem: Problem, given: Given, vector: jax.Array, chunk: C
         return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
     def normal(j: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        own = (j * weighted).reshape(len(j), 3, -1).sum(axis=1)
+        own = (j * weighted[None]).reshape(len(j), 3, -1).sum(axis=1)
         scores = jax.ops.segment_sum(own.T, colour_cells(jnp, chunk.target).ravel(), COLOURS**3)
-        return product(j * weight, j.T), product(j, weighted), scores
+        return product(j * weight[None], j.T), product(j, weighted), scores
 
     count = len(jacobian)
-    nothing = jnp.zeros((count, count)), jnp.zeros(count), jnp.zeros((COLOURS**3, count))
+    zeros = functools.partial(jnp.zeros, dtype=jacobian.dtype)
+    nothing = zeros((count, count)), zeros(count), zeros((COLOURS**3, count))
     matrix, vector, scores = jax.lax.cond(given.moving.any(), normal, lambda j: nothing, jacobian)
     return Normal(
         matrix,

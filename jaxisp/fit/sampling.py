@@ -18,7 +18,7 @@ def _weights(t: Any) -> tuple[Any, ...]:
 def sample(xp: Any, image: Any, positions: Any, axis: int) -> Any:
     """Cubic convolution along one axis, in NumPy or JAX; `xp` says which."""
     first = xp.floor(positions)
-    t = (positions - first).reshape((-1,) + (1,) * (image.ndim - 1 - axis))
+    t = (positions - first).reshape((1,) * axis + (-1,) + (1,) * (image.ndim - 1 - axis))
     weights = _weights(t)
     index = xp.clip(first, -4, image.shape[axis] + 4).astype(np.int32)
     taps = (xp.take(image, xp.clip(index + k - 1, 0, image.shape[axis] - 1), axis=axis) for k in range(4))
@@ -33,6 +33,6 @@ def cubic(xp: Any, plane: Any, y: Any, x: Any) -> Any:
         xp.stack([xp.clip(start + k - 1, 0, n - 1).astype(np.int32) for k in range(4)])
         for start, n in ((top, h), (left, w))
     )
-    read = xp.take(plane.reshape(-1), rows[:, None] * w + columns)  # (4, 4, ...) in one gather
+    read = xp.take(plane.reshape(-1), rows[:, None] * w + columns[None])  # (4, 4, ...) in one gather
     weights_y, weights_x = (xp.stack(_weights(t)) for t in (y - top, x - left))
-    return (weights_y * (weights_x * read).sum(1)).sum(0)
+    return (weights_y * (weights_x[None] * read).sum(1)).sum(0)

@@ -105,14 +105,14 @@ def _on_mesh(problem: Problem, mesh: Mesh, *calls: Any) -> Normal:
 @functools.cache
 def _no_jacobian(problem: Problem) -> jax.Array:
     """What `near` is where nothing is known."""
-    return jnp.zeros(jacobian_shape(problem))
+    return jnp.zeros(jacobian_shape(problem), jnp.float32)
 
 
 @functools.cache
 def _no_jacobians(problem: Problem, mesh: Mesh) -> jax.Array:
     """The same on each device."""
     shape = mesh.size, *jacobian_shape(problem)
-    return jax.jit(lambda: jnp.zeros(shape), out_shardings=_rows(mesh))()
+    return jax.jit(lambda: jnp.zeros(shape, jnp.float32), out_shardings=_rows(mesh))()
 
 
 def compile_for(problem: Problem, mesh: Mesh | None = None) -> None:

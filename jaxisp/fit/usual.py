@@ -188,7 +188,7 @@ def linearised(
         return jnp.concatenate(weighted)
 
     vector = jnp.concatenate([camera, image])
-    steps = STEP * jnp.eye(len(vector))
-    found = jax.vmap(rows)(jnp.concatenate([vector[None], vector + steps, vector - steps]))
+    steps = STEP * jnp.eye(len(vector), dtype=vector.dtype)
+    found = jax.vmap(rows)(jnp.concatenate([vector[None], vector[None] + steps, vector[None] - steps]))
     up, down = jnp.split(found[1:], 2)
     return found[0], (up - down).T / (2 * STEP)

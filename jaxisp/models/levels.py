@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
+from jaxisp.arrays.promotion import a_librarys
 from jaxisp.color import LUMA_601
 from jaxisp.models.cells import CELL, LEAST, REACH, STATISTICS, cell_statistics, told_levels
 from jaxisp.models.layers import NEARLY_ZERO, conv, pad_to_multiple, pixel_shuffle, pixel_unshuffle
@@ -159,7 +160,8 @@ def _in_units(x: jax.Array, unit: jax.Array) -> jax.Array:
     """What differs from the local mean, over the noise; compressed where it is far above it."""
     edge = _WINDOW // 2
     padded = jnp.pad(x, ((0, 0), (edge, edge), (edge, edge), (0, 0)), mode="edge")
-    mean = nnx.avg_pool(padded, (_WINDOW, _WINDOW))
+    with a_librarys():
+        mean = nnx.avg_pool(padded, (_WINDOW, _WINDOW))
     y = (x - mean) / (unit + LEAST)
     return y * jax.lax.rsqrt(1 + (y / _BEND) ** 2)
 

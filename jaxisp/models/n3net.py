@@ -48,7 +48,7 @@ class N3Block(nnx.Module):
         self.outputs = features * (neighbors + 1)
         self.embedded = embedding is not None
         if embedding is None:
-            self.log_temperature = nnx.Param(jnp.zeros(()))
+            self.log_temperature = nnx.Param(jnp.zeros((), jnp.float32))
         else:
             options: dict[str, Any] = {"depth": 3, "features": 64, "rngs": rngs, "dtype": dtype}
             self.embed = ConvNet(features, embedding, **options)
@@ -79,7 +79,7 @@ class N3Block(nnx.Module):
             log_temperature = _pad(self.temperature(x).astype(jnp.float32), self.patch, self.stride)
             mean = self._patches(log_temperature).mean(axis=-1)
             scaled = normed * jnp.exp(-jnp.clip(mean, -8, 8))[:, :, None]
-        return jnp.where(allowed, -scaled, _MASKED)
+        return jnp.where(allowed[None], -scaled, _MASKED)
 
     def _weights(self, logits: jax.Array) -> list[jax.Array]:
         found = []
@@ -108,13 +108,13 @@ class N3Block(nnx.Module):
         n = patches.shape[0]
         x = patches.reshape(n, *grid, p, p, channels).transpose(0, 1, 3, 2, 4, 5)
         rows, columns = self._starts(h), self._starts(w)
-        total = jnp.zeros((n, h, grid[1], p, channels)).at[:, rows].add(x)
-        total = jnp.zeros((n, h, w, channels)).at[:, :, columns].add(total)
+        total = jnp.zeros((n, h, grid[1], p, channels), x.dtype).at[:, rows].add(x)
+        total = jnp.zeros((n, h, w, channels), x.dtype).at[:, :, columns].add(total)
         counts = np.zeros((h, w, 1), np.float32)
         for r in rows:
             for q in columns:
                 counts[r[0] : r[0] + p, q[0] : q[0] + p] += 1
-        return total / counts
+        return total / counts[None]
 
 
 class N3Net(nnx.Module):

@@ -16,14 +16,14 @@ class Depthwise(nnx.Module):
     def __init__(self, features: int, *, rngs: nnx.Rngs, dtype: Any = None) -> None:
         init = nnx.initializers.normal(1 / 3)
         self.kernel = nnx.Param(init(rngs.params(), (3, 3, features), jnp.float32))
-        self.bias = nnx.Param(jnp.zeros(features))
+        self.bias = nnx.Param(jnp.zeros(features, jnp.float32))
         self.dtype = dtype
 
     def __call__(self, x: jax.Array) -> jax.Array:
         h, w = x.shape[1:3]
-        kernel = self.kernel[...].astype(x.dtype)
+        kernel = self.kernel[...].astype(x.dtype)[:, :, None, None, None]
         padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
-        out = self.bias[...].astype(x.dtype)
+        out = self.bias[...].astype(x.dtype)[None, None, None]
         for dy in range(3):
             for dx in range(3):
                 out = out + kernel[dy, dx] * padded[:, dy : dy + h, dx : dx + w]
@@ -44,12 +44,12 @@ class Block(nnx.Module):
         )
         self.attention, self.project = point(features, features), point(features, features)
         self.widen, self.narrow = point(features, 2 * features), point(features, features)
-        self.scales = nnx.Param(jnp.zeros((2, features)))
+        self.scales = nnx.Param(jnp.zeros((2, features), jnp.float32))
 
     def __call__(self, x: jax.Array) -> jax.Array:
         y = _gate(self.depthwise(self.spread(self.norms[0](x))))
         y = self.project(y * self.attention(y.mean(axis=(1, 2), keepdims=True)))
-        scales = self.scales[...].astype(y.dtype)
+        scales = self.scales[...].astype(y.dtype)[:, None, None, None]
         x = x + scales[0] * y
         return x + scales[1] * self.narrow(_gate(self.widen(self.norms[1](x))))
 

@@ -1,5 +1,6 @@
 """A network that weighs what simple filters make of a picture, at each pixel: it has little to learn."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -93,7 +94,7 @@ class WeighNet(nnx.Module):
         seen = [
             _squashed(away[..., 0]), _squashed(jnp.linalg.norm(away[..., 1:], axis=-1)),
             jnp.log2(light / _LEAST)[:, None, ..., 0] / 4, jnp.log2(color / _LEAST)[:, None, ..., 0] / 4,
-            told[:, None, ..., 2], y[:, None, ..., 0] / np.sqrt(3),
+            told[:, None, ..., 2], y[:, None, ..., 0] / math.sqrt(3),
             jnp.log2(color / light)[:, None, ..., 0] / 4,
         ]  # fmt: skip
         z = jnp.moveaxis(jnp.concatenate(seen, 1), 1, -1)
@@ -136,13 +137,13 @@ def _statistics(y: jax.Array) -> jax.Array:
         padded = jnp.pad(picture, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="reflect")
         rows = padded[:, 2:] - 2 * padded[:, 1:-1] + padded[:, :-2]
         both = (rows[:, :, 2:] - 2 * rows[:, :, 1:-1] + rows[:, :, :-2]) / 6  # Immerkaer's mask: no planes
-        down = (padded[:, 2:, 1:-1] - picture) / np.sqrt(2)
-        right = (padded[:, 1:-1, 2:] - picture) / np.sqrt(2)
+        down = (padded[:, 2:, 1:-1] - picture) / math.sqrt(2)
+        right = (padded[:, 1:-1, 2:] - picture) / math.sqrt(2)
         for change in (both, down, right):
             blocks = _log_mean(change**2, CELL * picture.shape[1] // h // 2)
             cells = blocks.reshape(n, h // CELL, 2, w // CELL, 2, 2)
             found += [cells.min((2, 4)), cells.mean((2, 4))]
-    bright = y[..., :1].reshape(n, h // CELL, CELL, w // CELL, CELL, 1).mean((2, 4)) / np.sqrt(3)
+    bright = y[..., :1].reshape(n, h // CELL, CELL, w // CELL, CELL, 1).mean((2, 4)) / math.sqrt(3)
     return jnp.concatenate([*found, bright], -1)
 
 
@@ -174,19 +175,19 @@ def _levels(y: jax.Array) -> jax.Array:
     steps = ((down**2).mean((1, 2)) + (right**2).mean((1, 2))) / 4
     # the flattest first; of each brightness those that hold the first share of the weight
     order = jnp.argsort(light + color)
-    bright = tiles[..., 0].mean(1) / np.sqrt(3)
+    bright = tiles[..., 0].mean(1) / math.sqrt(3)
     centres = jnp.asarray(TONES, y.dtype)
     near = jnp.exp(-0.5 * ((bright[None] - centres[:, None]) / _TONE) ** 2) + 1e-3
     sorted_near = near[:, order]
     passed = jnp.cumsum(sorted_near, 1) - sorted_near
-    used = sorted_near * (passed <= _FLATTEST * sorted_near.sum(1, keepdims=True))
+    used = sorted_near * (passed <= _FLATTEST * sorted_near.sum(1, keepdims=True)).astype(y.dtype)
 
     def mean(values: jax.Array) -> jax.Array:
-        return (used * values[order]).sum(1) / used.sum(1)
+        return (used * values[order][None]).sum(1) / used.sum(1)
 
     found = jnp.stack([mean(light), mean(color), mean(steps)], -1)  # of each tone
-    cells = y[..., 0].reshape(h // 2, CELL, w // 2, CELL).mean((1, 3)) / np.sqrt(3)
-    shares = jnp.exp(-0.5 * ((cells[..., None] - centres) / (_TONE / 2)) ** 2) + 1e-6
+    cells = y[..., 0].reshape(h // 2, CELL, w // 2, CELL).mean((1, 3)) / math.sqrt(3)
+    shares = jnp.exp(-0.5 * ((cells[..., None] - centres[None, None]) / (_TONE / 2)) ** 2) + 1e-6
     there = shares @ found / shares.sum(-1, keepdims=True)
     levels = jnp.maximum(jnp.sqrt(there[..., :2]), _LEAST)
     return jnp.concatenate([levels, there[..., 2:] / (there[..., :1] + 1e-12)], -1)
@@ -227,7 +228,7 @@ def _means(y: jax.Array, scale: jax.Array) -> jax.Array:
         excess = jnp.maximum(apart - 2, 0)
         weights = jnp.exp(-excess[None] / (2 * jnp.asarray(np.square(WIDTHS), y.dtype)[:, None, None]))
         values = part[AROUND : AROUND + h, AROUND : AROUND + w]
-        return (total[0] + weights[..., None] * values, total[1] + weights), None
+        return (total[0] + weights[..., None] * values[None], total[1] + weights), None
 
     zeros = jnp.zeros((len(WIDTHS), h, w), y.dtype)
     (sums, weights), _ = lax.scan(

@@ -10,7 +10,9 @@ import optax
 from flax import nnx
 from jax.sharding import Mesh
 
+from jaxisp.arrays.promotion import a_librarys
 from jaxisp.losses import charbonnier, log_rms
+from jaxisp.pipeline import sample_indices
 from jaxisp.recipes import RecipeLike
 from jaxisp.stages.transfer import srgb_eotf
 from jaxisp.train.target import pair_maker
@@ -72,7 +74,9 @@ def init_state(
     # copies: a step may reuse the memory of the state that it is given
     params, stats = jax.tree.map(jnp.copy, (params, stats))
     averaged = jax.tree.map(jnp.copy, (params, stats)) if ema else None
-    return State(jnp.zeros((), jnp.int32), params, stats, optimizer.init(params), averaged)
+    with a_librarys():
+        inner = optimizer.init(params)
+    return State(jnp.zeros((), jnp.int32), params, stats, inner, averaged)
 
 
 def make_step(
@@ -124,16 +128,18 @@ def make_step(
         if isinstance(batch, tuple):
             noisy, clean = (levels.astype(jnp.float32) / 255 for levels in batch)
         else:
-            noisy, clean = pairs(batch, index + jnp.arange(len(batch)))
+            noisy, clean = pairs(batch, sample_indices(index, len(batch)))
         if light == "linear":
             noisy, clean = srgb_eotf(noisy), srgb_eotf(clean)
         differentiate = jax.value_and_grad(objective, has_aux=True)
         (value, stats), gradients = differentiate(state.params, state.stats, noisy, clean)
-        updates, inner = optimizer.update(gradients, state.optimizer, state.params)
-        params = optax.apply_updates(state.params, updates)
+        with a_librarys():
+            updates, inner = optimizer.update(gradients, state.optimizer, state.params)
+            params = optax.apply_updates(state.params, updates)
+            norm = optax.tree.norm(gradients)
         averaged = _average(state, (params, stats), ema)
         new = State(state.step + 1, params, stats, inner, averaged)
-        return new, {"loss": value, "grad_norm": optax.tree.norm(gradients)}
+        return new, {"loss": value, "grad_norm": norm}
 
     return step
 

@@ -8,6 +8,8 @@ import jax
 import optax
 from flax import nnx
 
+from jaxisp.arrays.promotion import a_librarys
+
 
 def programs(
     graph: Any, optimizer: optax.GradientTransformation, loss: Callable[..., jax.Array]
@@ -30,7 +32,8 @@ def programs(
     @functools.partial(jax.jit, donate_argnums=(0, 1))
     def update(params: Any, state: Any, inputs: jax.Array, *others: jax.Array) -> tuple[Any, Any]:
         gradient = jax.grad(lambda p: loss(made(p, inputs), *others))(params)
-        changes, state = optimizer.update(gradient, state, params)
-        return optax.apply_updates(params, changes), state
+        with a_librarys():
+            changes, state = optimizer.update(gradient, state, params)
+            return optax.apply_updates(params, changes), state
 
     return update, jax.jit(made)

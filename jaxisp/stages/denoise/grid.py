@@ -161,7 +161,7 @@ def _splat_jvp(bins: int, primals: Any, tangents: Any) -> tuple[jax.Array, jax.A
         )
     if not isinstance(u_change, SymbolicZero):
         change += linear_call(
-            lambda r, c: _collect(r[0], r[1] * c, bins, True),
+            lambda r, c: _collect(r[0], r[1] * c[None], bins, True),
             lambda r, g: jnp.sum(r[1] * store(_distribute(r[0], g, True)), axis=0),
             (u, values),
             u_change,
@@ -175,7 +175,7 @@ _splat.defjvp(_splat_jvp, symbolic_zeros=True)
 def _collect(u: jax.Array, values: jax.Array, bins: int, slope: bool) -> jax.Array:
     def over(some: slice, u: jax.Array, values: jax.Array) -> jax.Array:
         z = jnp.arange(bins, dtype=u.dtype)[:, None, None, None]
-        return fused_sum(_tent(u[some] - z, slope) * values[:, some], 2)
+        return fused_sum(_tent(u[None, None, some] - z, slope) * values[None, :, some], 2)
 
     def in_groups(u: jax.Array, values: jax.Array) -> jax.Array:
         return _sum([over(some, u, values) for some in _groups(len(u))], _UNROLLED)
@@ -187,7 +187,7 @@ def _distribute(u: jax.Array, grid: jax.Array, slope: bool) -> jax.Array:
     """The transpose of `_collect`."""
 
     def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
-        z = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None]
+        z, u = jnp.arange(len(grid), dtype=u.dtype)[:, None, None, None], u[None, None]
         terms = [fused_sum(_tent(u - z[some], slope) * grid[some, :, None], 0) for some in _groups(len(grid))]
         return _sum(terms, _UNROLLED)
 
@@ -215,10 +215,11 @@ def _looked_up(
     """
     bins, count, length = grid.shape
     lower = jnp.clip(jnp.floor(u), 0, bins - 2)
-    above = u - lower
+    above = (u - lower)[None, None]
     offsets, weights = (np.stack(k)[:, None, :, None] for k in zip(*cells))
     planes = np.arange(count, dtype=np.int32)[:, None, None] * length
-    own = lower.astype(jnp.int32) * (count * length) + np.arange(u.shape[1], dtype=np.int32)
+    place = np.arange(u.shape[1], dtype=np.int32)[None]
+    own = (lower.astype(jnp.int32) * (count * length) + place)[None, None]
 
     def bin_(up: int) -> jax.Array:
         near = jnp.take(grid.reshape(-1), own + (offsets + planes + up * count * length), mode="clip")
@@ -250,7 +251,7 @@ def _sliced_jvp(cell: int, stride: int, primals: Any, tangents: Any) -> tuple[ja
         )
     if not isinstance(u_change, SymbolicZero):
         # apart, or XLA would store what both look up
-        change += u_change * store(_interpolated(store_off_cpu(u), grid, cell, stride, True))
+        change += u_change[None] * store(_interpolated(store_off_cpu(u), grid, cell, stride, True))
     return y, change
 
 
@@ -285,8 +286,8 @@ def _interpolated(u: jax.Array, grid: jax.Array, cell: int, stride: int, slope: 
         corners = [lax.dynamic_slice_in_dim(grid, offset, u.shape[1], 2) for offset in offsets]
         terms = []
         for some in _groups(len(grid)):
-            near = sum(w * corner[some, :, None] for w, corner in zip(weights, corners))
-            terms.append(fused_sum(_tent(u - z[some], slope) * near, 0))
+            near = sum(w[None, None] * corner[some, :, None] for w, corner in zip(weights, corners))
+            terms.append(fused_sum(_tent(u[None, None] - z[some], slope) * near, 0))
         return store(_sum(terms, _UNROLLED))
 
     def dense(u: jax.Array, grid: jax.Array) -> jax.Array:
@@ -337,7 +338,7 @@ def _row_terms(
             for b in range(2):
                 there = slice(2 - first_x - b, 2 - first_x - b + length)
                 come = wide[:, phase, there] * shares[first_x][b][x].astype(wide.dtype)
-                terms.append(_tent(wide_u[phase, there] - z, False) * come)
+                terms.append(_tent(wide_u[None, None, phase, there] - z, False) * come[None])
     return terms
 
 

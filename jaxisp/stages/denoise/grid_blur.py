@@ -196,8 +196,9 @@ def _mirrored(lags: jax.Array, n: jax.Array, size: int, reach: jax.Array) -> jax
 
     In the cells from -1 to size + 1; the lags are those of a period of 2 n.
     """
-    cells, to = np.arange(size)[:, None], np.arange(-1, size + 2)
-    apart, mirrored = np.abs(cells - to), lax.rem(np.int32(cells + to + 1), 2 * n)
+    cells = np.arange(size, dtype=np.int32)[:, None]
+    to = np.arange(-1, size + 2, dtype=np.int32)[None]
+    apart, mirrored = np.abs(cells - to), lax.rem(cells + to + 1, 2 * n)
     both = (lags.at[i].get(mode="clip") for i in (apart, jnp.minimum(mirrored, 2 * n - mirrored)))
     return jnp.where((cells < n) & (apart <= reach), sum(both), 0)
 
