@@ -162,12 +162,37 @@ class Checkpoints:
         if not is_sealed(json.dumps(notes) + "\n"):
             raise InputError("its notes are not what was written")
         if notes["run"] != self.of:
-            raise InputError("it is of another run")
+            raise _AnotherRun("it is of another run")
         return notes
+
+    def begin(self, step: int) -> None:
+        """Delete what is in the way of a run that goes on from a step: what is of later ones, or damaged.
+
+        Raises:
+            InputError: one is of another run.
+        """
+        for name, manager in self._managers.items():
+            for own in list(manager.all_steps()):
+                try:
+                    self._checked(name, own)
+                    whole = own <= step
+                except _AnotherRun as error:
+                    place = self.run / "checkpoints" / name / str(own)
+                    raise InputError(f"{place}: {error}; move it away") from error
+                except Exception:  # damaged
+                    if signals.came():
+                        raise
+                    whole = False
+                if not whole:
+                    manager.delete(own)
 
     def close(self) -> None:
         for manager in self._managers.values():
             manager.close()
+
+
+class _AnotherRun(InputError):
+    """What is no own checkpoint is not read, and not deleted either."""
 
 
 class _Listed(ocp.path.step.Metadata):  # type: ignore[misc]

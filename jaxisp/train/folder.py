@@ -89,7 +89,8 @@ def write_card(
 
 A denoiser for photographs, which it sees in {_LIGHTS[config.light]}.
 
-- **Network**: {config.model}, {result["parameters"]} parameters, options {config.model_options or "none"}.
+- **Network**: {config.model}, {result["parameters"]} parameters, options
+  {_said(config.model_options or "none")}.
 - **Trained for**: {result["step"]} of {config.steps} steps of {config.batch} patches of {config.patch} px,
   seed {config.seed}{"" if result["finished"] else " (stopped before its end)"}.
 - **Clean photographs**: {_said(data)}, {_size(config.downsample)}.
@@ -117,8 +118,8 @@ Recipe:
 
 
 def _said(value: Any) -> str:
-    """As it may stand in Markdown: names and descriptions are others' texts."""
-    return html.escape(printable(str(value)), quote=False)
+    """As it may stand in Markdown: names and descriptions are others' texts, not links or pictures."""
+    return html.escape(printable(str(value)), quote=False).replace("[", "&#91;").replace("]", "&#93;")
 
 
 def _size(factor: int) -> str:

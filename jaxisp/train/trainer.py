@@ -172,6 +172,7 @@ class _Run:
         self.checkpoints = Checkpoints(run, settings_digest(config, recipe), config.keep)
         fresh = replicate(self.mesh, init_state(self.model, optimizer, ema=config.ema))
         self.state = self.checkpoints.restore(fresh) if self.checkpoints.steps() else fresh
+        self.checkpoints.begin(int(self.state.step))
         self.log = Log(run, int(self.state.step)) if lead else None
         self.waiting: list[tuple[int, dict[str, jax.Array]]] = []
         self.loss = float("nan")

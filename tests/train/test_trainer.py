@@ -25,7 +25,7 @@ from jaxisp.recipes import RECIPES, find_degradation
 from jaxisp.testing import smooth_image
 from jaxisp.train import TrainConfig, load_denoiser, train
 from jaxisp.train.checkpoints import Checkpoints
-from jaxisp.train.folder import begin, load_settings
+from jaxisp.train.folder import begin, load_settings, settings_digest
 from jaxisp.train.logs import Log, read_rows
 from jaxisp.train.step import LOSSES
 
@@ -290,6 +290,27 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(config, whole):
     shutil.rmtree(run / "checkpoints" / "last" / "4" / "state")
     rest = train(config, run, resume=True)
     assert fingerprint(rest.state) == fingerprint(whole.state)
+
+
+@pytest.mark.parametrize("which", ["last", "best"])
+def test_a_damaged_checkpoint_is_written_again(config, whole, tmp_path, which):
+    run = shutil.copytree(whole.run, tmp_path / "run")
+    (place,) = [p for p in (run / "checkpoints" / which).iterdir() if p.name == "4" or which == "best"]
+    file = max((p for p in place.rglob("*") if p.is_file()), key=lambda p: p.stat().st_size)
+    data = bytearray(file.read_bytes())
+    data[-1] ^= 1
+    file.write_bytes(data)
+    train(config, run, resume=True)
+    store = Checkpoints(run, settings_digest(config, load_settings(run)[1]), reading=True)
+    assert store.steps() == [3, 4] and int(store.restore(whole.state).step) == 4
+    assert which == "last" or store.best is None or store.best[0] <= 4
+    store.close()
+
+
+def test_numbers_that_are_whole_are_read_back(config, tmp_path):
+    told = dataclasses.replace(config, ema=0, clip_norm=1, weight_decay=0, steps=1)
+    assert train(told, tmp_path / "run").finished
+    assert load_denoiser(tmp_path / "run", "last")[1] == told
 
 
 KILLED = """
