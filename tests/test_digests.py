@@ -1,6 +1,7 @@
 """Digests of what is resumed: single bits, files that were cut, emptied, swapped or lost."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -156,6 +157,26 @@ def test_a_folder_of_ones_own(tmp_path):
             tmp_path / "out" / "deep" / "c"
         ).exists()
         (tmp_path / "out" / "deep" / "mine").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("kind", ["text", "link", "FIFO"])
+def test_a_list_that_is_none_of_ours_is_left_alone(tmp_path, kind):
+    with own_folder(tmp_path / "other", "list.json") as folder:
+        (folder / "a").write_text("a")
+    place = tmp_path / "out" / "list.json"
+    place.parent.mkdir()
+    if kind == "text":
+        place.write_text("mine")
+    if kind == "link":
+        place.symlink_to(tmp_path / "other" / "list.json")
+    if kind == "FIFO":
+        os.mkfifo(place)
+    with (
+        pytest.raises(InputError, match="out: holds list.json, which is none"),
+        own_folder(place.parent, "list.json"),
+    ):
+        raise AssertionError
+    assert os.listdir(place.parent) == ["list.json"]
 
 
 @pytest.mark.parametrize("files", [5, None, ["a"], {"a": 5}, {"a": None}, {"a": ["0" * 64]}])

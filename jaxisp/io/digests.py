@@ -12,6 +12,7 @@ from jaxisp.errors import InputError
 from jaxisp.io.files import (
     MOST_NOTES,
     PathLike,
+    check_output,
     files_below,
     open_input,
     parse_json,
@@ -131,6 +132,7 @@ def own_folder(place: PathLike, name: str) -> Iterator[Path]:
             try:
                 others = changed_files(folder, name) if there else []
                 if listed:
+                    check_output(folder / name)
                     noted_files(folder, name)
             except InputError:
                 others = there or [folder / name]

@@ -25,7 +25,9 @@ def test_nothing_is_begun_where_a_link_leads_elsewhere(tmp_path, link):
 
 def test_a_card_shows_names_and_descriptions_as_text(tmp_path):
     config = TrainConfig(clean=("a\x1b[2J",), recipe="awgn")
-    recipe = dataclasses.replace(RECIPES["awgn"](), description="<script>alert(1)</script> ![i](http://a.b) \u202eback")
+    recipe = dataclasses.replace(
+        RECIPES["awgn"](), description="<script>alert(1)</script> ![i](http://a.b) \u202eback"
+    )
     result = {"best": None, "validation": None, "parameters": 1, "step": 1, "finished": True, "devices": "1"}
     write_card(tmp_path, config, recipe, result, "a\x1b[2J")
     text = (tmp_path / "MODEL_CARD.md").read_text()
