@@ -172,7 +172,7 @@ def test_a_list_that_is_none_of_ours_is_left_alone(tmp_path, kind):
     if kind == "FIFO":
         os.mkfifo(place)
     with (
-        pytest.raises(InputError, match="out: holds list.json, which is none"),
+        pytest.raises(InputError, match=r"out: holds list\.json, which is none"),
         own_folder(place.parent, "list.json"),
     ):
         raise AssertionError

@@ -113,9 +113,9 @@ class TrainConfig:
             if getattr(self, field) < 1:
                 raise InputError(f"{field} = {getattr(self, field)}: expected at least 1")
         # as TOML gives them back
-        for field in dataclasses.fields(self):
-            if field.type is float:
-                object.__setattr__(self, field.name, float(getattr(self, field.name)))
+        for own in dataclasses.fields(self):
+            if own.type is float:
+                object.__setattr__(self, own.name, float(getattr(self, own.name)))
         options = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_options.items()}
         object.__setattr__(self, "model_options", options)
         if not 0 < self.lr < 10:
