@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import os
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +66,12 @@ def load_settings(run: str | Path) -> tuple[TrainConfig, Degradation]:
     """What a run was told. Raises InputError where the folder holds none, or it is not what was written."""
     run = Path(run)
     try:
-        os.stat(run / CONFIG)
+        found = stat.S_ISREG(os.stat(run / CONFIG).st_mode)
     except PermissionError as error:
         raise InputError(f"{run}: cannot be read: {reason(error)}") from error
-    except OSError:  # told below
-        pass
-    if not os.path.isfile(run / CONFIG):
+    except OSError:
+        found = False
+    if not found:
         raise InputError(f"{run}: holds no run, expected a folder that jaxisp train wrote")
     for name in (CONFIG, RECIPE):
         check_seal(run / name)

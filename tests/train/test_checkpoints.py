@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import pytest
 
 from jaxisp.errors import InputError
+from jaxisp.io.digests import note_files
 from jaxisp.process import signals
 from jaxisp.train.checkpoints import DIGESTS, Checkpoints
 from jaxisp.train.step import State
@@ -133,6 +134,22 @@ def test_without_digests_of_files_what_is_read_is_what_was_written(tmp_path, par
         (place / part / "metadata").write_text(json.dumps({**notes, "psnr": 99.0}))
     store = Checkpoints(tmp_path / "one", "a run", reading=True)
     with pytest.raises(InputError, match=said):
+        store.restore(state())
+    store.close()
+
+
+def test_one_of_a_version_before_is_read_by_the_digests_of_its_files(tmp_path):
+    store = Checkpoints(tmp_path, "a run")
+    store.save(state(), 20.0)
+    store.close()
+    for which in ("last", "best"):
+        place = tmp_path / "checkpoints" / which / "3"
+        (place / "notes" / "metadata").write_text('{"psnr": 20.0}')
+        note_files(place, DIGESTS)
+    store = Checkpoints(tmp_path, "a run", reading=True)
+    assert store.best == (3, 20.0) and int(store.restore(state()).step) == 3
+    (tmp_path / "checkpoints" / "last" / "3" / DIGESTS).unlink()
+    with pytest.raises(InputError, match="its notes are not what was written"):
         store.restore(state())
     store.close()
 
