@@ -281,8 +281,8 @@ def _unpack(path: Path, archive: str | None, taken: set[str]) -> None:
     shutil.rmtree(unpacked, ignore_errors=True)  # of a call that was killed
     try:
         unpack(path, archive, unpacked)
-        for name in sorted(taken & set(os.listdir(unpacked))):
-            raise InputError(f"{path}: holds {name}, in whose place another file of the set has to be")
+        if both := taken & set(os.listdir(unpacked)):
+            raise InputError(f"{path}: holds {min(both)}, in whose place another file of the set has to be")
         for found in unpacked.iterdir():
             place = path.with_name(found.name)
             if place.is_dir():

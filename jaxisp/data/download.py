@@ -13,7 +13,7 @@ from jaxisp.io.files import kind_of, read_text, write_text
 
 _CHUNK = 1 << 16  # what has come of one is lost where the connection breaks
 _TIMEOUT = (10, 60)  # to connect, between bytes [s]
-_ITSELF = os.O_NOFOLLOW | os.O_NONBLOCK
+_ITSELF = os.O_NOFOLLOW | os.O_NONBLOCK  # no link, and no waiting for who reads a FIFO
 Tick = Callable[[int, int, str], Any]
 
 
@@ -78,7 +78,7 @@ class _Resuming:
         self._forget()
 
     def _get(self, requests: Any, url: str) -> bool:
-        done = self._done()
+        done = self.part.stat().st_size if self.part.exists() else 0
         headers = {"Accept-Encoding": "identity"}
         if done:
             headers["Range"] = f"bytes={done}-"
@@ -104,9 +104,6 @@ class _Resuming:
         if total and done != total:
             raise ConnectionError(f"{done} of {total} bytes came")
         return True
-
-    def _done(self) -> int:
-        return self.part.stat().st_size if self.part.exists() else 0
 
     def _opened(self, done: int) -> IO[bytes]:
         """The file that is gone on with, or a new one: what another program put there meanwhile is left."""

@@ -25,8 +25,6 @@ _MOST_LIST = 64 << 20  # bytes of a zip's list of files
 _RATIO, _FREE = 4, 16 << 20  # pictures hardly compress
 _CHUNK, _BLOCK = 1 << 20, 1 << 16
 
-_HERE: tuple[str, ...] = ()
-
 Member = tuple[str, IO[bytes] | None]
 """A name and what to read, which folders do not have."""
 
@@ -47,7 +45,8 @@ def unpack(path: Path, kind: str, folder: Path) -> None:
     """
     folder.mkdir()
     left = most = _RATIO * path.stat().st_size + _FREE
-    count, folders = 0, {_HERE}
+    count = 0
+    folders: set[tuple[str, ...]] = {()}
     try:
         for name, source in _zipped(path) if kind == "zip" else _tarred(path, most):
             new = _new_folders(name, path, folders) if source else []

@@ -193,7 +193,7 @@ def camera_to_srgb_d65(xyz_to_camera: np.ndarray) -> np.ndarray:
 
 
 def usable(matrix: np.ndarray | None) -> bool:
-    """Whether it is a 3x3 matrix that can be inverted, of numbers that colours have."""
+    """Whether it is a 3x3 matrix that can be inverted; those of cameras have numbers near 1."""
     if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return False
     return bool(1e-3 < np.abs(matrix).max() < 1e3 and np.linalg.cond(matrix) < 1e4)

@@ -14,7 +14,7 @@ Tell = Callable[[str], None]
 """Takes one line on what a file states that is not used, or used otherwise than it says."""
 
 _OTHER = 255  # LightSource: see IlluminantData
-_BALANCE_RANGE = 1 / 16, 16.0
+_BALANCE_RANGE = 1 / 16, 16.0  # gains of a converter: cameras state 1, or nearly
 _MOST_GAIN = 1e3  # of one colour against another
 _MOST_SAMPLES = 1000  # of a spectrum, by the specification
 

@@ -365,20 +365,19 @@ def test_all_that_an_archive_makes_is_counted(tmp_path, monkeypatch, name):
     unpack(path, name[-3:], tmp_path / "fits")
 
 
-def test_headers_take_no_more_than_files_may(tmp_path, monkeypatch):
-    monkeypatch.setattr(unpacking, "_FREE", 0)
-    path = tmp_path / "a.tar"
-    path.write_bytes(tarred(*[(f"{i}", b"") for i in range(200)]))
-    with pytest.raises(InputError, match="unpacks to more than 4 times its size"):
-        unpack(path, "tar", tmp_path / "out")
-
-
-def test_a_list_of_files_is_not_read_before_it_is_known_to_be_small(tmp_path, monkeypatch):
-    monkeypatch.setattr(unpacking, "_MOST_LIST", 1000)
-    path = tmp_path / "a.zip"
-    path.write_bytes(zipped(*[(f"{i}", b"") for i in range(30)]))
-    with pytest.raises(InputError, match="its list of files takes"):
-        unpack(path, "zip", tmp_path / "out")
+@pytest.mark.parametrize(
+    ("kind", "limit", "most", "told"),
+    [
+        ("tar", "_FREE", 0, "unpacks to more than 4 times its size"),  # of headers alone
+        ("zip", "_MOST_LIST", 1000, "its list of files takes"),  # and is not read
+    ],
+)
+def test_what_stands_beside_the_files_is_bounded_too(tmp_path, monkeypatch, kind, limit, most, told):
+    monkeypatch.setattr(unpacking, limit, most)
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes({"tar": tarred, "zip": zipped}[kind](*[(f"{i}", b"") for i in range(200)]))
+    with pytest.raises(InputError, match=told):
+        unpack(path, kind, tmp_path / "out")
 
 
 @pytest.mark.parametrize("mode", ["w", "w:gz", "w:bz2", "w:xz"])
