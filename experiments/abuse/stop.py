@@ -30,7 +30,7 @@ import numpy as np
 
 from jaxisp.process.signals import LINE
 
-ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143}
+ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 MOST = 6.0
 """Seconds after which the last signals come."""
 LATE = 2.0
@@ -154,7 +154,7 @@ def campaign(name: str, times: int, state: Path, data: Path, until: float) -> No
             rng = np.random.default_rng((i, *name.encode()))
             anew = job.anew and i % ANEW == 0
             delay = rng.uniform(0, length + 2 * anew)
-            number = list(ENDINGS)[i // 2 % 2 if anew else i % 2]
+            number = list(ENDINGS)[(i // ANEW if anew else i) % len(ENDINGS)]
             found = stopped(job.command(out), delay, number, log, anew=anew)
             found |= {"signal": number.name, "anew": anew}
             if left := in_child(lambda: job.check_left(out)):

@@ -53,7 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Returns:
-        0 (done), 2 (the call or its input is unusable), 1 (it broke), 130 (Ctrl-C) or 143 (SIGTERM).
+        0 (done), 2 (the call or its input is unusable), 1 (it broke), 130 (Ctrl-C), 143 (SIGTERM), 129
+        (SIGHUP).
     """
     if argv is None:  # the process is ours; another program that calls this has its own settings
         signals.watch()

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end the process within two seconds, with one line and a status of 130 or 143.
+"""Ctrl-C, SIGTERM and a lost terminal end the process within two seconds: one line, status 130, 143 or 129.
 
 The main thread unwinds, so that nothing half-made is left. Compilers and solvers do not return to Python
 for longer than that: a thread then ends the process. All outputs are whole or not there at any moment.
@@ -49,7 +49,16 @@ class _Watch:
 _watch = _Watch()
 
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+_ENDING = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)  # Windows
+]
+
+
+def ending() -> list[signal.Signals]:
+    """The signals that end a process; that of a lost terminal not where it is ignored, as under nohup."""
+    return [n for n in _ENDING if n.name != "SIGHUP" or signal.getsignal(n) is not signal.SIG_IGN]
 
 
 @contextlib.contextmanager
@@ -58,7 +67,7 @@ def held() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ending())
     try:
         yield
     finally:
@@ -66,7 +75,7 @@ def held() -> Iterator[None]:
 
 
 def watch() -> None:
-    """Take SIGINT and SIGTERM from now on. For processes of our own, once, from the main thread."""
+    """Take what `ending` names from now on. For processes of our own, once, from the main thread."""
     if _watch.on or threading.current_thread() is not threading.main_thread():
         return
     _watch.on = True
@@ -76,7 +85,7 @@ def watch() -> None:
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
     _watch.errors = os.dup(2)
     threading.Thread(target=_end, args=(read,), daemon=True, name="jaxisp-signals").start()
-    for number in _ENDING:  # the last: one may come at once, and is told
+    for number in ending():  # the last: one may come at once, and is told
         signal.signal(number, _raise)
 
 
@@ -99,15 +108,14 @@ def tell() -> None:
     if not _watch.on:
         print(LINE, file=sys.stderr)
     elif _watch.told.acquire(blocking=False):
-        if os.isatty(_watch.errors):
-            os.write(_watch.errors, _CURSOR)
-        os.write(_watch.errors, LINE.encode() + b"\n")
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            os.write(_watch.errors, _CURSOR * os.isatty(_watch.errors) + LINE.encode() + b"\n")
 
 
 def close() -> None:
     """Take no more signals: all is done. While Python ends they would kill it, as nobody takes them then."""
     if _watch.on:
-        for number in _ENDING:
+        for number in ending():
             signal.signal(number, signal.SIG_IGN)
 
 

@@ -22,6 +22,7 @@ from jaxisp.io.files import filled_folder
 from jaxisp.io.locks import locked
 from jaxisp.mixture import Degradation, check_runs
 from jaxisp.models import count_parameters, load_weights, make_model
+from jaxisp.process import signals
 from jaxisp.recipes import RecipeLike, find_degradation
 from jaxisp.shown import brief
 from jaxisp.train.checkpoints import Checkpoints
@@ -89,8 +90,8 @@ def train(
     """Train a denoiser on pairs that are degraded on the fly.
 
     The patches, the degradation and the updates of a step follow from the configuration and the step's
-    number alone, so a run that is stopped and resumed ends with the bits of one that was not. SIGINT and
-    SIGTERM let the step end, write a checkpoint and return.
+    number alone, so a run that is stopped and resumed ends with the bits of one that was not. SIGINT,
+    SIGTERM and SIGHUP let the step end, write a checkpoint and return.
 
     Args:
         config: everything but the place.
@@ -356,14 +357,14 @@ class _Rate:
 
 
 class _Signals:
-    """Takes SIGINT and SIGTERM as a wish to stop; a second one does what it did before."""
+    """Takes a signal that ends a process as a wish to stop; a second one does what it did before."""
 
     came = False
 
     def __enter__(self) -> "_Signals":
         self._before: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in signals.ending():
                 self._before[number] = signal.signal(number, self._note)
         return self
 

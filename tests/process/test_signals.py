@@ -1,5 +1,7 @@
-"""Ctrl-C and SIGTERM: one line, 130 or 143, within two seconds; training that is not finished is never 0."""
+"""Ctrl-C, SIGTERM, SIGHUP: one line, 130, 143, 129, within two seconds; unfinished training is never 0."""
 
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -11,6 +13,14 @@ import pytest
 from experiments.abuse.stop import ENDINGS
 from jaxisp.io import write_png
 from jaxisp.process.signals import LINE
+
+
+@pytest.fixture(autouse=True)
+def a_terminal_can_be_lost():
+    """Also where these tests run under nohup, whose children ignore that signal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.parametrize("number", ENDINGS)
@@ -140,6 +150,47 @@ raise SystemExit(process.main())
     done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=20)
     assert done.returncode == status and LINE not in done.stderr
     assert (done.stderr == "") == (status == 0) and ("gaussian_noise" in done.stdout) == (status == 0)
+
+
+def test_under_nohup_a_lost_terminal_ends_nothing():
+    program = """
+import os, signal, sys
+from jaxisp import __main__ as process
+import jaxisp.cli
+listed = jaxisp.cli.listings.run_recipes
+def lose(arguments):
+    os.kill(os.getpid(), signal.SIGHUP)
+    return listed(arguments)
+jaxisp.cli.listings.run_recipes = lose
+raise SystemExit(process.main())
+"""
+    command = ["nohup", sys.executable, "-c", program, "recipes", "awgn"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert (done.returncode, LINE in done.stderr) == (0, False) and "gaussian_noise" in done.stdout
+
+
+def test_a_terminal_that_is_gone_takes_no_line(tmp_path):
+    """Only the status tells: what is written to the terminal fails."""
+    program = f"""
+import fcntl, pathlib, termios, time
+from jaxisp import __main__ as process
+import jaxisp.cli
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+def wait(arguments):
+    pathlib.Path({str(tmp_path / "runs")!r}).touch()
+    time.sleep(60)
+jaxisp.cli.listings.run_recipes = wait
+raise SystemExit(process.main())
+"""
+    ours, its = pty.openpty()
+    command = [sys.executable, "-c", program, "recipes"]
+    process = subprocess.Popen(command, stdin=its, stdout=its, stderr=its, start_new_session=True)
+    os.close(its)
+    while not (tmp_path / "runs").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.close(ours)
+    assert process.wait(timeout=20) == 129
 
 
 @pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
