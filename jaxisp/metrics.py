@@ -17,7 +17,8 @@ __dir__ = __all__.copy  # what an editor completes
 
 Window = Literal["gaussian", "uniform"]
 
-_SMALLEST_MSE = 1e-12
+SMALLEST_MSE = 1e-12
+"""What `psnr` takes for none: 120 dB."""
 _FLAT = 1e-5  # a standard deviation below it is rounding error
 _C1, _C2 = 0.01**2, 0.03**2  # K1, K2 of Wang et al. 2004, for a data range of 1
 
@@ -56,7 +57,7 @@ def psnr(a: jax.Array, b: jax.Array, border: int = 0, mask: jax.Array | None = N
     else:
         weight = jnp.broadcast_to(_per_pixel(mask[inner], a.ndim), squared.shape).astype(squared.dtype)
         mse = jnp.where(weight > 0, weight * squared, 0).sum() / weight.sum()
-    return -10 * jnp.log10(jnp.maximum(mse, _SMALLEST_MSE))
+    return -10 * jnp.log10(jnp.maximum(mse, SMALLEST_MSE))
 
 
 def ssim(a: jax.Array, b: jax.Array, window: Window = "gaussian") -> jax.Array:

@@ -1,8 +1,8 @@
 """A fitted pair measured on the tiles that were not fitted, and whether a global camera can have made it."""
 
 import dataclasses
+import math
 
-import jax
 import numpy as np
 
 from jaxisp.color import LUMA_601
@@ -12,9 +12,10 @@ from jaxisp.fit.render import render, similarity
 from jaxisp.fit.result import PairResult
 from jaxisp.fit.solve import Fit
 from jaxisp.fit.state import State
+from jaxisp.fit.strips import strips
 from jaxisp.fit.tiles import Shot, Split, split
 from jaxisp.io import orient
-from jaxisp.metrics import psnr
+from jaxisp.metrics import SMALLEST_MSE
 
 SHOWN = 1024  # px of a side that are kept for reports
 PATCH = 32  # px of the tiles that local processing is looked for in
@@ -60,13 +61,12 @@ def turned(example: Example, shot: Shot) -> Example:
 
 
 def masked_psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
-    """Of the pixels of a mask [dB]."""
-    return float(_psnr(a, b, mask))
-
-
-@jax.jit
-def _psnr(a: jax.Array, b: jax.Array, mask: jax.Array) -> jax.Array:
-    return psnr(a, b, mask=mask)
+    """Of the pixels of a mask [dB], as `jaxisp.metrics.psnr` of them; NaN where it has none."""
+    squared, count = 0.0, 0
+    for rows in strips(len(a)):
+        error = a[rows][mask[rows]].astype(np.float64) - b[rows][mask[rows]]
+        squared, count = squared + float(np.sum(error * error)), count + error.size
+    return -10 * math.log10(max(squared / count, SMALLEST_MSE)) if count else math.nan
 
 
 def _middle(image: np.ndarray, copy: bool = True) -> np.ndarray:

@@ -15,6 +15,7 @@ from jaxisp.fit.align import PATCH, SCALE_DEVIATION, Alignment, recolored
 from jaxisp.fit.model import LENS
 from jaxisp.fit.planes import factors, luma, normalise, reduce
 from jaxisp.fit.sampling import cubic
+from jaxisp.fit.strips import strips
 from jaxisp.pipeline import Params
 
 SMALLEST = 0.1  # px in the corner that distortion or lateral colour must reach to be kept
@@ -94,8 +95,11 @@ def covered(
 ) -> np.ndarray:
     """(H', W') boolean: where the picture reads inside the RAW."""
     (rows, columns), first, corner = lines(alignment, shape, raw_shape)
-    y, x = lens.bent(rows[:, None], columns[None], corner)
-    return np.asarray((np.abs(y) <= -first[0]) & (np.abs(x) <= -first[1]))
+    inside = np.empty((len(rows), len(columns)), bool)
+    for part in strips(len(rows)):
+        y, x = lens.bent(rows[part, None], columns[None], corner)
+        inside[part] = (np.abs(y) <= -first[0]) & (np.abs(x) <= -first[1])
+    return inside
 
 
 def radial(reference: np.ndarray, moving: np.ndarray, alignment: Alignment) -> tuple[Alignment, float]:

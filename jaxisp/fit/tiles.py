@@ -17,6 +17,7 @@ from jaxisp.fit.lens import STRAIGHT, Lens, covered
 from jaxisp.fit.pair import Example, align, balanced, demosaicker
 from jaxisp.fit.raw_noise import RawNoise, raw_noise
 from jaxisp.fit.sharing import as_arrays
+from jaxisp.fit.strips import in_strips
 from jaxisp.io import Jpeg
 from jaxisp.losses import border_mask, clip_mask
 from jaxisp.pipeline import Chain, over_batch, run_batch, stage
@@ -122,9 +123,9 @@ def split(
     """A checkerboard of tiles. Clipped pixels are not fitted: they say only that a scene was brighter."""
     border = np.asarray(_border_mask(target.shape[:2], BORDER))
     inside = covered(alignment, lens, raw_shape, target.shape) & border
-    unclipped = np.asarray(_clip_mask(jnp.asarray(target), 2 / 255, 253 / 255))
-    y, x = np.indices(target.shape[:2], dtype=np.int32)
-    even = (y // TILE + x // TILE) % 2 == 0
+    unclipped = in_strips(lambda part: np.asarray(_clip_mask(part, 2 / 255, 253 / 255)), target)
+    row, column = (np.arange(n) // TILE for n in target.shape[:2])
+    even = (row[:, None] + column) % 2 == 0
     return Split(inside & unclipped & even, inside & ~even)
 
 
