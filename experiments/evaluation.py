@@ -429,7 +429,6 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "third-party": third_party(others["earlier"]),
         "switches": switches.rates(others["switches"]["records"]),
         "switches-by-case": switches.by_case(others["switches"]["records"]),
-        "switches-left": "".join(f"- {name}\n" for name in others["switches"]["not run"]),
         **beside(others["beside"]),
         "fresh": fresh(found["fresh"]),
         "drops": drops(found["drops"]),

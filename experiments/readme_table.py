@@ -11,6 +11,7 @@ from typing import Any
 
 from experiments.denoisers.classical import NETWORK
 from experiments.evaluation import cases_of, rendered
+from experiments.third_party import tables as switches
 from experiments.withheld.effects import ABSORBABLE, KINDS
 from experiments.withheld.tables import first_right, named, plain_to_see, table, truth
 
@@ -75,10 +76,9 @@ def rows(root: Path = Path()) -> Iterator[list[str]]:
     nulls = [r for r in cases if r["split"] == "nulls"]
     yield ["effects named where nothing is missing", f"{sum(bool(named(r)) for r in nulls)} of {len(nulls)}",
            "../diagnosis-evaluation"]  # fmt: skip
-    others = read("docs/results/third-party.json")["earlier"]
-    yield ["effects named first, cameras of others",
-           f"{sum(r['right'] for r in others):g} of {sum(r['cases'] for r in others)}",
-           "../diagnosis-evaluation"]  # fmt: skip
+    others = switches.of_effects(read("docs/results/third-party.json")["switches"]["records"])
+    yield ["effects named first, switches of RawTherapee, darktable and LibRaw",
+           f"{sum(map(switches.first, others))} of {len(others)}", "../diagnosis-evaluation"]  # fmt: skip
 
 
 def made(root: Path = Path()) -> str:
