@@ -3,7 +3,8 @@
     python -m experiments.abuse.stop --times 100 --state FOLDER
     python -m experiments.abuse.stop --state FOLDER --table
 
-Ctrl-C (SIGINT) and SIGTERM by turns, at moments drawn over a command's length, or its first `MOST` seconds.
+SIGINT (Ctrl-C), SIGTERM and SIGHUP (a lost terminal) by turns, at moments drawn over a command's length, or
+its first `MOST` seconds.
 A tenth of the runs start Python anew, so that imports are interrupted too; the others are forked from a
 process that has imported everything. A command that was stopped is started again into the same folder until
 one of its runs ends: what it wrote then must be what an undisturbed run wrote. FOLDER keeps all
@@ -209,8 +210,10 @@ def main() -> None:
         return
     import jaxisp.demo  # noqa: F401  (imports nearly everything, and starts no device)
 
-    # what a shell starts in the background ignores Ctrl-C, as would all that it starts
+    # what a shell starts in the background ignores Ctrl-C, what nohup starts SIGHUP; so would their children
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)
     until = time.monotonic() + 60 * arguments.minutes
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(arguments.state / "compiled")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"

@@ -56,9 +56,14 @@ _ENDING = [
 ]
 
 
+def is_lost_terminal(number: int) -> bool:
+    """Whether it is the signal of one: the system sends it, and the shell once more."""
+    return signal.Signals(number).name == "SIGHUP"
+
+
 def ending() -> list[signal.Signals]:
     """The signals that end a process; that of a lost terminal not where it is ignored, as under nohup."""
-    return [n for n in _ENDING if n.name != "SIGHUP" or signal.getsignal(n) is not signal.SIG_IGN]
+    return [n for n in _ENDING if not is_lost_terminal(n) or signal.getsignal(n) is not signal.SIG_IGN]
 
 
 @contextlib.contextmanager
@@ -132,6 +137,8 @@ def _raise(number: int, frame: FrameType | None) -> None:
     if _imports(frame):
         _watch.deferred = True
         return
+    if is_lost_terminal(number):
+        signal.signal(number, signal.SIG_IGN)
     # what is raised within an import, a destructor or another thread is printed there, by C too
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

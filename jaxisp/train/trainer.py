@@ -357,7 +357,8 @@ class _Rate:
 
 
 class _Signals:
-    """Takes a signal that ends a process as a wish to stop; a second one does what it did before."""
+    """Takes a signal that ends a process as a wish to stop; a second one does what it did before,
+    but that of a lost terminal, which comes twice."""
 
     came = False
 
@@ -370,7 +371,8 @@ class _Signals:
 
     def _note(self, number: int, frame: Any) -> None:
         self.came = True
-        signal.signal(number, self._before[number])
+        if not signals.is_lost_terminal(number):
+            signal.signal(number, self._before[number])
 
     def __exit__(self, *_: Any) -> None:
         for number, handler in self._before.items():

@@ -193,8 +193,15 @@ raise SystemExit(process.main())
     assert process.wait(timeout=20) == 129
 
 
-@pytest.mark.parametrize(("flags", "status"), [((), 143), (("--stop-status", "75"), 75)])
-def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
+@pytest.mark.parametrize(
+    ("numbers", "flags", "status"),
+    [
+        ([signal.SIGTERM], (), 143),
+        ([signal.SIGTERM], ("--stop-status", "75"), 75),
+        ([signal.SIGHUP, signal.SIGHUP], (), 129),  # as from the system and from the shell
+    ],
+)
+def test_training_that_is_not_finished_is_never_0(tmp_path, numbers, flags, status):
     (tmp_path / "in").mkdir()
     write_png(tmp_path / "in" / "p.png", np.zeros((24, 30, 3)))
     words = "--recipe awgn --model fast --steps 100000 --batch 1 --patch 12 --downsample 1 --validation 1"
@@ -208,7 +215,9 @@ def test_training_that_is_not_finished_is_never_0(tmp_path, flags, status):
     while not log.exists() or log.stat().st_size < 200:
         assert process.poll() is None
         time.sleep(0.05)
-    process.send_signal(signal.SIGTERM)
+    for number in numbers:
+        process.send_signal(number)
+        time.sleep(0.01)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (status, LINE + "\n") and "continue with --resume" in out
     assert (tmp_path / "run" / "checkpoints" / "last").is_dir() and not (tmp_path / "run" / ".lock").exists()
