@@ -405,6 +405,13 @@ def beside(found: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def left(names: Sequence[str]) -> str:
+    """What of a sample did not run."""
+    if not names:
+        return "All cases of the sample ran.\n"
+    return "Of the sample, these did not run:\n\n" + "".join(f"- {name}\n" for name in names)
+
+
 def tables(results: Path = RESULTS) -> dict[str, str]:
     """Every generated part of the page, by name."""
 
@@ -429,6 +436,7 @@ def tables(results: Path = RESULTS) -> dict[str, str]:
         "third-party": third_party(others["earlier"]),
         "switches": switches.rates(others["switches"]["records"]),
         "switches-by-case": switches.by_case(others["switches"]["records"]),
+        "switches-left": left(others["switches"]["not run"]),
         **beside(others["beside"]),
         "fresh": fresh(found["fresh"]),
         "drops": drops(found["drops"]),
