@@ -201,10 +201,12 @@ def ran(rows: Sequence[Record], out: Path, workers: int) -> None:
     """Diagnose cases side by side; compiled programs come to gigabytes, so that processes are short-lived."""
     one_blas_thread()
     keep_compiled()
-    spawn = get_context("spawn")
-    with ProcessPoolExecutor(workers, spawn, keep_compiled, max_tasks_per_child=_CASES) as pool:
-        for done in [pool.submit(examined, row, out) for row in rows if not _place(row, out).exists()]:
-            done.result()
+    todo = [row for row in rows if not _place(row, out).exists()]
+    at_once = _CASES * workers
+    for first in range(0, len(todo), at_once):  # a pool that replaces its processes can wait forever (gh-115634)
+        with ProcessPoolExecutor(workers, get_context("spawn"), keep_compiled) as pool:
+            for done in [pool.submit(examined, row, out) for row in todo[first : first + at_once]]:
+                done.result()
 
 
 def collected(paths: Sequence[Path]) -> list[Record]:

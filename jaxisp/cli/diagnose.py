@@ -21,6 +21,7 @@ def add_commands(commands: Any) -> None:
     command = add_command(
         commands, "diagnose", run, "name the effects that a simulated camera lacks", draws=True
     )
+    command.set_defaults(holds_pictures=True)
     command.add_argument(
         "dataset", metavar="DATASET", help="a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs"
     )
@@ -131,7 +132,7 @@ def _warn(report: dict[str, Any]) -> None:
 
 
 def _print(report: dict[str, Any]) -> None:
-    from jaxisp.gap.report.page import next_measurements, sentence, unexplained
+    from jaxisp.gap.report.page import next_measurements, sample_of, sentence, unexplained
 
     gap, left = report["gap"], unexplained(report)
     beside = f"; the reference's gap {gap['reference']:.3g}" if "reference" in gap else ""
@@ -141,6 +142,8 @@ def _print(report: dict[str, Any]) -> None:
         + beside
         + f"; {left}" * bool(left)
     )
+    if sample_of(report):
+        say(f"diagnosed: {sample_of(report)}")
     rows = [
         (c["effect"], c["site"], f"{c['probability']:.2f}", f"{c['closed']:.2f}",
          f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}", ", ".join(c["alternatives"]) or "-")

@@ -24,7 +24,7 @@ from jaxisp.gap.report.pictures import candidate, example
 from jaxisp.gap.report.simulator import simulator_of
 from jaxisp.gap.search.verdict import Found, searched
 from jaxisp.gap.simulator.effects import CLEAN_NOISY, JPEG_JPEG, RAW_JPEG
-from jaxisp.io.datasets import Loaded, open_dataset
+from jaxisp.io.datasets import Dataset, Loaded, open_dataset
 from jaxisp.mixture import Mixture
 from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
@@ -118,8 +118,9 @@ def diagnose(
         )
     data = open_dataset(dataset)
     _check_kind(dataset, data.kind, given, simulator, downstream)
-    others = None if reference is None else _opened_reference(reference, data.kind, given, simulator)
-    aligned = aligned_pairs(data)
+    other = None if reference is None else _opened_reference(reference, data.kind, given, simulator)
+    aligned = aligned_pairs(data, 0 if other is None else len(other.pairs))
+    others = None if other is None else aligned_pairs(other, len(data.pairs))
     criteria = CRITERIA[data.kind] if criteria is None else criteria
     case = _with_base(data.kind, aligned, given, simulator, others, several(exclude), criteria, seed, tick)
     give_back()
@@ -170,8 +171,8 @@ def _check_kind(
         )
 
 
-def _opened_reference(folder: str | Path, kind: str, camera: Recipe | None, recipe: Recipe | None) -> Aligned:
-    """The pairs of a reference. Raises InputError where they cannot be one."""
+def _opened_reference(folder: str | Path, kind: str, camera: Recipe | None, recipe: Recipe | None) -> Dataset:
+    """A reference. Raises InputError where the folder cannot be one."""
     if camera is not None or recipe is not None:
         raise InputError("give a reference, or a camera or recipe: a base is fitted to one or is the other")
     if kind == JPEG_JPEG:
@@ -179,7 +180,7 @@ def _opened_reference(folder: str | Path, kind: str, camera: Recipe | None, reci
     data = open_dataset(folder)
     if data.kind != kind:
         raise InputError(f"{folder}: holds {data.kind} pairs, the set to be diagnosed {kind} pairs")
-    return aligned_pairs(data)
+    return data
 
 
 def _with_base(

@@ -38,7 +38,7 @@ def unlike(found: Loaded) -> float:
 @pytest.mark.parametrize("top, left, cfa", [(2, 4, "RGGB"), (1, 0, "GBRG"), (3, 5, "BGGR")])
 def test_a_picture_that_was_cut_is_laid_where_it_belongs(top, left, cfa):
     whole = scene(0)
-    (found,), failed, (row,) = align_raw([pair("a", whole, whole[top:-1, left:])])
+    (found,), failed, (row,), _ = align_raw([pair("a", whole, whole[top:-1, left:])])
     assert failed == [] and row["done"] == "cut" and unlike(found) < 1e-6
     assert found.raw.cfa == cfa and found.picture.shape[:2] == (SIZE[0] - top - 1, SIZE[1] - left)
 
@@ -51,21 +51,21 @@ def test_pairs_cut_unlike_each_other_get_one_pattern():
 
 def test_a_picture_of_the_same_size_is_moved():
     whole = scene(0)
-    (found,), _, (row,) = align_raw([pair("a", whole, np.roll(whole, (-2, 3), (0, 1)))])
+    (found,), _, (row,), _ = align_raw([pair("a", whole, np.roll(whole, (-2, 3), (0, 1)))])
     assert unlike(found) < 1e-6 and row["done"] == "moved"
     np.testing.assert_allclose(row["shift_px"], (-2, 3), atol=0.2)
 
 
 def test_a_picture_of_another_scale_is_resampled():
     whole = scene(0)
-    (found,), _, (row,) = align_raw([pair("a", whole, np.clip(zoom(whole, 1.05, order=3), 0, 1))])
+    (found,), _, (row,), _ = align_raw([pair("a", whole, np.clip(zoom(whole, 1.05, order=3), 0, 1))])
     assert unlike(found) < 0.05 and row["done"] == "resampled"
     np.testing.assert_allclose(row["scale"], 1.05, atol=0.01)
 
 
 def test_a_pair_of_two_scenes_is_left_out():
     a, b = scene(0), scene(1)
-    found, failed, _ = align_raw([pair("a", a, a), pair("c", b, b), pair("b", b, scene(2))])
+    found, failed, *_ = align_raw([pair("a", a, a), pair("c", b, b), pair("b", b, scene(2))])
     assert [f.name for f in found] == ["a", "c"]
     assert failed[0][0] == "b" and "do not show one scene" in failed[0][1]
     with pytest.raises(InputError, match="do not show one scene"):

@@ -205,7 +205,7 @@ def test_a_scene_is_laid_under_a_picture_of_another_size_and_place():
     picture = np.sqrt(scene)[1:-1, 1:-1]
     whole, moved = clean_pair("a", scene, picture), np.roll(picture, (2, -3), (0, 1))
     inner = clean_pair("b", scene[1:-1, 1:-1], moved)
-    (cut, laid), failed, rows = align_clean([whole, inner])
+    (cut, laid), failed, rows, _ = align_clean([whole, inner])
     assert failed == []
     np.testing.assert_array_equal(cut.clean, whole.clean[1:-1, 1:-1])
     there = np.roll(whole.clean[1:-1, 1:-1], (2, -3), (0, 1))

@@ -15,6 +15,7 @@ from jaxisp.gap.report.page import (
     few_pairs,
     html,
     next_measurements,
+    sample_of,
     sentence,
     unexplained,
     write_report,
@@ -181,6 +182,21 @@ def test_fewer_than_four_pairs():
     assert "<dd>1 pair: a (even tiles)</dd>" in shown(alone)
     enough = changed(pairs={"fit": ["a", "b"], "held_out": ["c", "d"]})
     assert 'class="warning"' not in shown(enough) and "2 pairs: a, b" in shown(enough)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "size", "told"),
+    [
+        ((6, 6), (352, 352), "the middle 352x352 px of 2784x1856 of each pair"),
+        ((21, 32), (192, 192), "21 of 32 pairs, the middle 192x192 px of 2784x1856"),
+        ((21, 32), (1856, 2784), "21 of 32 pairs"),
+        ((6, 6), (1840, 2784), ""),
+    ],
+)
+def test_a_sample_is_said(pairs, size, told):
+    sample = {"pairs": pairs[0], "of_pairs": pairs[1], "size_px": list(size), "of_size_px": [1856, 2784]}
+    report = changed(pairs=REPORT["pairs"] | {"sample": sample})
+    assert sample_of(report) == told and (told in shown(report)) and sample_of(REPORT) == ""
 
 
 def test_the_command_says_what_is_left_and_warns(capsys):

@@ -132,7 +132,7 @@ def _turned(pair: Loaded, orientation: int) -> Loaded:
 
 def _cropped(pair: Loaded, crop: tuple[slice, slice]) -> tuple[Loaded, Alignment]:
     """Both pictures cut, the clean one made linear, and where it lies on the noisy one."""
-    clean, picture = _linear(pair)[crop], pair.picture[crop]
+    clean, picture = _linear(pair)[crop].copy(), pair.picture[crop].copy()
     settings = dataclasses.replace(pair.settings, clean_encoding="linear")
     own = dataclasses.replace(pair, picture=picture, clean=clean, settings=settings)
     return own, estimate(picture, _light(clean))

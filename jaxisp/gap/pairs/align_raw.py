@@ -1,7 +1,8 @@
 """Pictures aligned to their RAW files: sizes, shifts, and files that are not a pair."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -29,11 +30,13 @@ class Aligned(NamedTuple):
         kept: the pairs.
         failed: (name, reason) of files that are not a pair.
         rows: what was done, for report.json: by how much the picture was found off the other file.
+        sample: what part of the set these are, for report.json: numbers of pairs and sizes (height, width).
     """
 
     kept: list[Loaded]
     failed: list[tuple[str, str]]
     rows: list[dict[str, Any]]
+    sample: Mapping[str, Any] = MappingProxyType({})
 
 
 def row(

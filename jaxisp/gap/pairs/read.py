@@ -1,19 +1,24 @@
 """A data set read into pairs whose halves are aligned."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from jaxisp.errors import InputError
 from jaxisp.gap.pairs.align_clean import align_clean
 from jaxisp.gap.pairs.align_raw import Aligned, align_raw
-from jaxisp.gap.pairs.crops import SMALLEST
+from jaxisp.gap.pairs.crops import SMALLEST, common_size, sampled
 from jaxisp.gap.pairs.headers import of_one_sampling
 from jaxisp.gap.pairs.own_file import with_own_file
 from jaxisp.io.datasets import Dataset, Loaded
 
 
-def aligned_pairs(dataset: Dataset) -> Aligned:
-    """The pairs of a data set; what cannot be used is listed with the reason.
+def aligned_pairs(dataset: Dataset, beside: int = 0) -> Aligned:
+    """The pairs of a data set, or a sample of them; what cannot be used is listed with the reason.
+
+    Args:
+        dataset: as it was opened.
+        beside: number of pairs of another set, which is to be cut alike.
 
     Raises:
         InputError: no pair is left.
@@ -22,7 +27,16 @@ def aligned_pairs(dataset: Dataset) -> Aligned:
     read, odd = of_one_sampling(read)
     failed = [(path.name, f"{path}: {reason}") for path, reason in dataset.problems] + failed + odd
     aligned = align_raw(read) if dataset.kind == "raw+jpeg" else align_clean(read)
-    return aligned._replace(kept=with_own_file(aligned.kept), failed=failed + aligned.failed)
+    kept = sampled(aligned.kept, max(len(aligned.kept), beside))
+    sample = {
+        "pairs": len(kept),
+        "of_pairs": len(aligned.kept),
+        "size_px": list(common_size(kept)),
+        "of_size_px": list(max((pair.picture.shape[:2] for pair in read), key=math.prod)),
+    }
+    names = {pair.name for pair in kept}
+    rows = [row for row in aligned.rows if row["name"] in names]
+    return Aligned(with_own_file(kept), failed + aligned.failed, rows, sample)
 
 
 def _load(pairs: Sequence[Any]) -> tuple[list[Loaded], list[tuple[str, str]]]:

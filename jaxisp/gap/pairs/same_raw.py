@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxisp.cfa import shifted
-from jaxisp.gap.pairs.crops import GRID, SMALLEST
+from jaxisp.gap.pairs.crops import GRID, SMALLEST, cut
 from jaxisp.io import Raw
 from jaxisp.io.datasets import Loaded
 
@@ -55,7 +54,7 @@ def _shared(one: Loaded, other: Loaded) -> tuple[Loaded, Loaded] | None:
         first, second = (r.mosaic[_within(r, starts, (end, stops[1]))] for r in (one.raw, other.raw))
         if not np.array_equal(first, second):
             return None
-    return _cut(one, one.raw, starts, stops), _cut(other, other.raw, starts, stops)
+    return cut(one, _within(one.raw, starts, stops)), cut(other, _within(other.raw, starts, stops))
 
 
 def _extent(raw: Raw, axis: int) -> tuple[int, int]:
@@ -67,14 +66,3 @@ def _within(raw: Raw, starts: Sequence[int], stops: Sequence[int]) -> tuple[slic
     """An area of the active area, as slices of a mosaic."""
     rows, columns = (slice(a - o, b - o) for a, b, o in zip(starts, stops, raw.crop))
     return rows, columns
-
-
-def _cut(pair: Loaded, raw: Raw, starts: Sequence[int], stops: Sequence[int]) -> Loaded:
-    """Both halves of an aligned pair cut to an area of the active area."""
-    part = _within(raw, starts, stops)
-    mosaic = raw.mosaic[part]
-    crop = (starts[0], starts[1], mosaic.shape[0], mosaic.shape[1])
-    own = dataclasses.replace(
-        raw, mosaic=mosaic, crop=crop, cfa=shifted(raw.cfa, starts[0] - raw.crop[0], starts[1] - raw.crop[1])
-    )
-    return dataclasses.replace(pair, raw=own, picture=pair.picture[part])

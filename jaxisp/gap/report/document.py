@@ -114,6 +114,7 @@ def _aligned(aligned: Aligned, outliers: Mapping[str, str]) -> dict[str, Any]:
     RAW files state that is not applied."""
     rows = {row["name"]: row for row in aligned.rows}
     return {
+        "sample": dict(aligned.sample),
         "aligned": [row for name, row in rows.items() if name not in outliers],
         "left_out": [{"name": name, "reason": reason} for name, reason in outliers.items()],
         "failed": [{"file": name, "reason": reason} for name, reason in aligned.failed],

@@ -57,6 +57,7 @@ _KINDS = {
 _SURE, _LIKELY = 0.9, 0.5  # probabilities from which the verdict says "lacks" and "probably lacks"
 _WHEN = ("before", "after")
 _FEWEST = 4  # pairs; see docs/how-to/diagnose.md
+_WHOLE = 0.9  # of a frame, from which on it counts as diagnosed whole
 _FEW_PIXELS = 250_000  # in clean+noisy pairs; fewer often give "unknown" (docs/diagnosis.md)
 _SITES = {
     "scene": "the scene's light",
@@ -430,6 +431,20 @@ def next_measurements(report: Mapping[str, Any]) -> list[str]:
     return [*found, f"To see alone what is left: {left}."]
 
 
+def sample_of(report: Mapping[str, Any]) -> str:
+    """What part of the set was diagnosed; nothing of one that was diagnosed whole."""
+    sample = report["pairs"].get("sample")
+    if not sample:
+        return ""
+    few = sample["pairs"] < sample["of_pairs"]
+    pairs = f"{sample['pairs']} of {sample['of_pairs']} pairs"
+    (height, width), (whole_height, whole_width) = sample["size_px"], sample["of_size_px"]
+    if height * width > _WHOLE * whole_height * whole_width:
+        return pairs if few else ""
+    middle = f"the middle {width}x{height} px of {whole_width}x{whole_height}"
+    return f"{pairs}, {middle}" if few else f"{middle} of each pair"
+
+
 def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     base, pairs = report["base"], report["pairs"]
     shares = ((words(n), "" if s is None else f" {percent(s)}") for n, s in base["absorbed"].items())
@@ -449,6 +464,7 @@ def _data(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("moved by what was found", _moved(base)),
         ("fitted on", f"{counted(len(pairs['fit']), 'pair')}: {', '.join(pairs['fit'])}"),
         ("held out", f"{counted(len(pairs['held_out']), 'pair')}: {', '.join(pairs['held_out'])}"),
+        ("diagnosed", sample_of(report)),
         ("laid on each other", ", ".join(placed)),
         (
             "not surely of one scene",
