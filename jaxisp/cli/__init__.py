@@ -28,7 +28,6 @@ from jaxisp.cli.common import Parser, flush, warn
 from jaxisp.errors import InputError, one_line
 from jaxisp.process import signals
 from jaxisp.process.cache import keep_compiled
-from jaxisp.process.memory import give_back_large
 from jaxisp.process.environment import check_environment, without_device
 
 _MODULES = (
@@ -68,8 +67,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if argv is None:
             check_environment()
             keep_compiled()
-            if "holds_pictures" in arguments:  # many of some megabytes, for a time
-                give_back_large()
         status = int(arguments.run(arguments))
         flush()
         return status

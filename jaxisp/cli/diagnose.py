@@ -21,7 +21,6 @@ def add_commands(commands: Any) -> None:
     command = add_command(
         commands, "diagnose", run, "name the effects that a simulated camera lacks", draws=True
     )
-    command.set_defaults(holds_pictures=True)
     command.add_argument(
         "dataset", metavar="DATASET", help="a folder of RAW+JPEG, clean+noisy or JPEG+JPEG pairs"
     )

@@ -1,6 +1,6 @@
 """Memory that is freed: kept, so that a large frame does not get it from the system at every call.
 
-Or given back, block by block or all at once, with that of programs that are needed no more.
+Or given back, with that of programs that are needed no more.
 
 XLA takes the scratch of a program from the C library at each call. glibc gives blocks above 32 MB, and
 much of what threads free, back to the system; it comes again a page at a time, at 1 to 3 us each. A library
@@ -15,9 +15,8 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 # glibc's malloc.h
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -3, -4, -8
+_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8
 _MOST = 2**31 - 1
-_LARGE = 2**22
 
 
 def keep_freed() -> bool:
@@ -40,26 +39,6 @@ def keep_freed() -> bool:
     mallopt = ctypes.CDLL(None).mallopt
     settings = ((_MMAP_MAX, 0), (_TRIM_THRESHOLD, _MOST), (_ARENA_MAX, 1))
     return all([mallopt(name, value) == 1 for name, value in settings])
-
-
-def give_back_large() -> bool:
-    """Let the C library give every block of 4 MB or more back to the system when it is freed, from now on.
-
-    glibc raises this limit to the largest block that was ever freed, up to 32 MB. Blocks below lie in pools;
-    between those in use what is freed cannot be given back. Work that holds many pictures of some megabytes
-    for a time then takes several times what it needs. Large blocks are taken from the system anew each time.
-
-    Returns:
-        Whether it took effect: False without glibc (macOS, Windows, musl), where nothing is changed.
-
-    Example:
-        >>> import jaxisp.process.memory
-        >>> jaxisp.process.memory.give_back_large() in (True, False)
-        True
-    """
-    if platform.libc_ver()[0] != "glibc":
-        return False
-    return ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE) == 1
 
 
 def give_back() -> bool:

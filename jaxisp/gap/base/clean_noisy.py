@@ -34,6 +34,7 @@ from jaxisp.gap.simulator.model import Model, Variant
 from jaxisp.io.datasets import Loaded
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params, stage
+from jaxisp.process.memory import give_back
 from jaxisp.recipe import Recipe
 from jaxisp.stages.choice import DEMOSAICKERS, Demosaicking
 
@@ -210,6 +211,7 @@ def plain_case(mean: MeanFit, effects: Sequence[Effect], seed: int, tick: Tick) 
         return to_steps(mean.point.model.render(mean.point.z, light))
 
     objective = StatisticsObjective.of(model, pairs, noise_free, split, read, choices, seed)
+    give_back()
     tick(0, 3, "fitting the noise")
     before = model.shared["balanced_noise"]
     objective, at = fit_noise(objective, objective.at(model, np.zeros(len(model.coordinates))), rebased)

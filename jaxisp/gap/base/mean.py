@@ -18,6 +18,7 @@ from jaxisp.gap.pairs.scenes import Split
 from jaxisp.gap.simulator.model import Model
 from jaxisp.io.jpeg import Jpeg
 from jaxisp.pipeline import Params
+from jaxisp.process.memory import give_back
 from jaxisp.stages.balance import ColorMatrix
 
 _SETTLED = 0.01
@@ -69,7 +70,9 @@ def fit_mean(file: Jpeg | None, pairs: Pairs, split: Split, cfa: str | None) -> 
             break
     at = _fit(objective, at, gains, 2)
     fitted = model.moved(at.z).shared
+    give_back()
     camera = find_sensor(camera, fitted, pairs, fit_on, cfa is None)
+    give_back()
     model = camera.mean_model(fitted)
     objective = PixelObjective.of(pairs, split)
     z = np.zeros(len(model.coordinates))

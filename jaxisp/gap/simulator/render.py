@@ -20,7 +20,7 @@ from jaxisp.node import Node
 from jaxisp.pipeline import Chain, Gate, Params, Stage
 from jaxisp.stages.choice import DEMOSAICKERS, demosaicking
 
-_BYTES = 500_000_000
+_BYTES = 250_000_000
 _FEWEST = 8
 _SET = 8
 """One program serves any number of pictures up to the next multiple of this."""
