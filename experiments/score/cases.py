@@ -203,7 +203,7 @@ def ran(rows: Sequence[Record], out: Path, workers: int) -> None:
     keep_compiled()
     todo = [row for row in rows if not _place(row, out).exists()]
     at_once = _CASES * workers
-    for first in range(0, len(todo), at_once):  # a pool that replaces its processes can wait forever (gh-115634)
+    for first in range(0, len(todo), at_once):  # a pool that replaces its own can wait forever (gh-115634)
         with ProcessPoolExecutor(workers, get_context("spawn"), keep_compiled) as pool:
             for done in [pool.submit(examined, row, out) for row in todo[first : first + at_once]]:
                 done.result()

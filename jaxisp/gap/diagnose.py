@@ -119,8 +119,9 @@ def diagnose(
     data = open_dataset(dataset)
     _check_kind(dataset, data.kind, given, simulator, downstream)
     other = None if reference is None else _opened_reference(reference, data.kind, given, simulator)
-    aligned = aligned_pairs(data, 0 if other is None else len(other.pairs))
-    others = None if other is None else aligned_pairs(other, len(data.pairs))
+    count = max(len(own.pairs) for own in (data, other) if own is not None)
+    aligned = aligned_pairs(data, count)
+    others = None if other is None else aligned_pairs(other, count)
     criteria = CRITERIA[data.kind] if criteria is None else criteria
     case = _with_base(data.kind, aligned, given, simulator, others, several(exclude), criteria, seed, tick)
     give_back()

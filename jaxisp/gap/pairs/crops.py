@@ -18,7 +18,7 @@ from jaxisp.io.datasets import Loaded
 SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
 MOST = 3 * 2**18
-"""Pixels of all pairs together. Of larger sets a sample is diagnosed: memory and time grow with the pixels."""
+"""Pixels of all pairs together. Of larger sets a sample is diagnosed, as memory and time grow with them."""
 _USUAL = 192  # px a side that a sample keeps, for falloff and filters; beyond that it has fewer pairs
 GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
 
@@ -70,7 +70,7 @@ def cut(pair: Loaded, part: tuple[slice, slice]) -> Loaded:
 
 
 def sampled(loaded: Sequence[Loaded], count: int) -> list[Loaded]:
-    """The middles of the pairs, of a size that all have; of very many pairs some, taken evenly from all scenes.
+    """The middles of the pairs, of a size that all have; of very many pairs some, evenly from all scenes.
 
     Args:
         loaded: aligned pairs.

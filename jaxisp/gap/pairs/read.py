@@ -13,12 +13,12 @@ from jaxisp.gap.pairs.own_file import with_own_file
 from jaxisp.io.datasets import Dataset, Loaded
 
 
-def aligned_pairs(dataset: Dataset, beside: int = 0) -> Aligned:
+def aligned_pairs(dataset: Dataset, count: int = 0) -> Aligned:
     """The pairs of a data set, or a sample of them; what cannot be used is listed with the reason.
 
     Args:
         dataset: as it was opened.
-        beside: number of pairs of another set, which is to be cut alike.
+        count: as how many pairs they are cut, if there are fewer: as another set is.
 
     Raises:
         InputError: no pair is left.
@@ -27,7 +27,7 @@ def aligned_pairs(dataset: Dataset, beside: int = 0) -> Aligned:
     read, odd = of_one_sampling(read)
     failed = [(path.name, f"{path}: {reason}") for path, reason in dataset.problems] + failed + odd
     aligned = align_raw(read) if dataset.kind == "raw+jpeg" else align_clean(read)
-    kept = sampled(aligned.kept, max(len(aligned.kept), beside))
+    kept = sampled(aligned.kept, max(len(aligned.kept), count))
     sample = {
         "pairs": len(kept),
         "of_pairs": len(aligned.kept),
