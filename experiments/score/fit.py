@@ -274,8 +274,8 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
             questions,
         ),
         "The share of cases without an effect differs from camera to camera of the study, so that a score "
-        "that has not seen one expects another share of it: most of the gap of *none*. The last column has no "
-        "such gap, and says nothing of other cameras.", "",
+        "that has not seen one expects another share of it: most of the gap of *none*. The last column has "
+        "no such gap, and says nothing of other cameras.", "",
         "## Reliability", "",
         "95 % intervals (Wilson).", "",
     ]  # fmt: skip
