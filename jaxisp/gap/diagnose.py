@@ -122,6 +122,7 @@ def diagnose(
     count = max(len(own.pairs) for own in (data, other) if own is not None)
     aligned = aligned_pairs(data, count)
     others = None if other is None else aligned_pairs(other, count)
+    give_back()
     criteria = CRITERIA[data.kind] if criteria is None else criteria
     case = _with_base(data.kind, aligned, given, simulator, others, several(exclude), criteria, seed, tick)
     give_back()

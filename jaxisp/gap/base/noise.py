@@ -12,6 +12,7 @@ from jaxisp.gap.objective.protocol import Point
 from jaxisp.gap.objective.statistics import StatisticsObjective
 from jaxisp.gap.simulator.model import Model
 from jaxisp.gap.simulator.noise import informed_by_noise, noise_indices
+from jaxisp.process.memory import give_back
 
 Rebase = Callable[[Model, np.ndarray], Model]
 """Moves the base's z into its parameters."""
@@ -50,6 +51,7 @@ def _settled(
         start = part.compute(start, which)
         z = fit(part, start, which, steps=steps, fresh=[] if keep else None).point.z
         at = objective.at(rebase(at.model, z), np.zeros(len(z)))
+        give_back()
     return at
 
 

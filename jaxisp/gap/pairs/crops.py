@@ -17,7 +17,7 @@ from jaxisp.io.datasets import Loaded
 
 SMALLEST, LARGEST = 64, 512  # px a side
 TILES = " ("  # after the name of a pair that is alone
-MOST = 3 * 2**18
+MOST = 5 * 2**17
 """Pixels of all pairs together. Of larger sets a sample is diagnosed, as memory and time grow with them."""
 _USUAL = 192  # px a side that a sample keeps, for falloff and filters; beyond that it has fewer pairs
 GRID = 16  # crops start at multiples of this, so that CFA and JPEG blocks keep their phase
