@@ -255,7 +255,7 @@ def test_a_clean_picture_is_turned_as_the_noisy_one_and_left_out_where_its_size_
     scenes = [np.random.default_rng(k).random((90, 100, 3)) for k in range(4)]
     noisy = [np.sqrt(scene) for scene in scenes]
     cleans = [scenes[0], scenes[1][::-1, ::-1], np.rot90(scenes[2]), scenes[3][:60]]
-    kept, failed, rows = align_clean(
+    kept, failed, rows, _ = align_clean(
         [clean_pair(str(k), c, n) for k, (c, n) in enumerate(zip(cleans, noisy))]
     )
     assert [row["done"] for row in rows] == ["nothing", "turned", "turned"]
