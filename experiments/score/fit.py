@@ -236,24 +236,38 @@ def comparison(records: Sequence[Record], scores: Mapping[str, Any]) -> str:
     return table(head, rows)
 
 
+def of_questions(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[str, Any]) -> str:
+    """How well probabilities of cameras left out are told, by question and kind of pairs."""
+    kinds = sorted({record["kind"] for record in records})
+    seen = {record["camera"]: found for record in records}
+    rows = []
+    for question in SIDES:
+        for kind in ("all", *kinds):
+            which = [r for r in records if kind in ("all", r["kind"])]
+            own, fitted_to = (answers(which, by)[question] for by in (scores, seen))
+            if own:
+                figures = (
+                    brier(own),
+                    _alone(own),
+                    log_loss(own),
+                    area(own),
+                    calibration(own),
+                    calibration(fitted_to),
+                )
+                true = sum(answer for _, answer in own)
+                rows.append([question, kind, len(own), true, *(f"{v:.3f}" for v in figures)])
+    head = [
+        "question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "log loss",
+        "area under ROC", "mean gap of probability and frequency", "of the score fitted to all",
+    ]  # fmt: skip
+    return table(head, rows)
+
+
 def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[str, Any], command: str) -> str:
     """The results as Markdown."""
     own = [record for record in records if record["group"] != "study"]
-    kinds = sorted({record["kind"] for record in records})
     versions = Counter(record["version"] for record in own).most_common()
-    by_kind = {"all": records} | {kind: [r for r in records if r["kind"] == kind] for kind in kinds}
-    left = {kind: answers(own, scores) for kind, own in by_kind.items()}
-    everywhere = {record["camera"]: found for record in records}
-    shown = {kind: answers(own, everywhere) for kind, own in by_kind.items()}
-    said = left["all"]
-    questions = [
-        [question, kind, len(own), sum(answer for _, answer in own), f"{brier(own):.3f}",
-         f"{_alone(own):.3f}", f"{log_loss(own):.3f}", f"{area(own):.3f}", f"{calibration(own):.3f}",
-         f"{calibration(shown[kind][question]):.3f}"]
-        for question in SIDES
-        for kind, own in ((kind, rows[question]) for kind, rows in left.items())
-        if own
-    ]  # fmt: skip
+    said = answers(records, scores)
     lines = [
         "# The score of the diagnosis", "",
         f"```sh\npython -m experiments.score.fit {command}\n```", "",
@@ -268,11 +282,7 @@ def page(records: Sequence[Record], found: Mapping[str, Any], scores: Mapping[st
         "name is an effect that is not in the truth; of third-party cameras it may still be there.", "",
         comparison(records, scores),
         "## Questions", "",
-        table(
-            ["question", "pairs", "rows", "true", "Brier score", "of the frequency alone", "log loss",
-             "area under ROC", "mean gap of probability and frequency", "of the score fitted to all"],
-            questions,
-        ),
+        of_questions(records, found, scores),
         "The share of cases without an effect differs from camera to camera of the study, so that a score "
         "that has not seen one expects another share of it: most of the gap of *none*. The last column has "
         "no such gap, and says nothing of other cameras.", "",

@@ -141,8 +141,8 @@ def _print(report: dict[str, Any]) -> None:
         + beside
         + f"; {left}" * bool(left)
     )
-    if sample_of(report):
-        say(f"diagnosed: {sample_of(report)}")
+    if sample := sample_of(report):
+        say(f"diagnosed: {sample}")
     rows = [
         (c["effect"], c["site"], f"{c['probability']:.2f}", f"{c['closed']:.2f}",
          f"{c['ci'][0]:.2f} to {c['ci'][1]:.2f}", ", ".join(c["alternatives"]) or "-")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.score.fit import SIDES, area, brier, calibration, fitted
-from experiments.score.misses import NO_GAP, SCREENED, row_of
+from experiments.score.misses import NO_GAP, SCREENED, row_of, row_of_nothing
 from jaxisp.gap.case import Gap
 from jaxisp.gap.search import score
 from jaxisp.gap.search.signs import Signs, left_signs, signs
@@ -110,3 +110,4 @@ def test_a_case_without_a_gap_is_told_from_one_that_was_not_refitted():
     assert row_of(case | {"gap": gap, "closed": {}}) == ["a", "vignetting", "1.5", "", "", "", NO_GAP]
     other = row_of(case | {"gap": gap, "closed": {"sharpening": 0.2}})
     assert other[-2:] == ["sharpening 0.20", SCREENED]
+    assert row_of_nothing(case | {"gap": gap, "closed": {}}) == ["a", "3.0", "2.0", "", ""]
