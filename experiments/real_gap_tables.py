@@ -5,7 +5,7 @@ from math import log10
 from typing import Any
 
 from experiments.withheld.tables import left_by, table
-from jaxisp.gap.report.page import reached
+from jaxisp.gap.report.sentences import reached
 from jaxisp.gap.report.words import any_of, finite, listed, number, words
 
 Record = Mapping[str, Any]

@@ -118,7 +118,7 @@ def _diagnosed(arguments: Namespace, folder: Path) -> Any:
 
 
 def _warn(report: dict[str, Any]) -> None:
-    from jaxisp.gap.report.page import few_pairs
+    from jaxisp.gap.report.sentences import few_pairs
 
     if few_pairs(report):
         warn(f"{few_pairs(report)}")
@@ -131,7 +131,7 @@ def _warn(report: dict[str, Any]) -> None:
 
 
 def _print(report: dict[str, Any]) -> None:
-    from jaxisp.gap.report.page import next_measurements, sample_of, sentence, unexplained
+    from jaxisp.gap.report.sentences import next_measurements, sample_of, sentence, unexplained
 
     gap, left = report["gap"], unexplained(report)
     beside = f"; the reference's gap {gap['reference']:.3g}" if "reference" in gap else ""

@@ -11,15 +11,8 @@ from PIL import Image
 
 from jaxisp.cli.diagnose import _print, _warn
 from jaxisp.errors import InputError
-from jaxisp.gap.report.page import (
-    few_pairs,
-    html,
-    next_measurements,
-    sample_of,
-    sentence,
-    unexplained,
-    write_report,
-)
+from jaxisp.gap.report.page import html, write_report
+from jaxisp.gap.report.sentences import few_pairs, next_measurements, sample_of, sentence, unexplained
 from tests.gap.page import CAUSE, GREY, PICTURES, REPORT, Balance, changed, shown
 
 
