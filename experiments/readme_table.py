@@ -10,7 +10,8 @@ from statistics import mean
 from typing import Any
 
 from experiments.denoisers.classical import NETWORK
-from experiments.evaluation import cases_of, rendered
+from experiments.evaluation.kept import cases_of
+from experiments.evaluation.page import rendered
 from experiments.third_party import tables as switches
 from experiments.withheld.effects import ABSORBABLE, KINDS
 from experiments.withheld.tables import first_right, named, plain_to_see, table, truth

@@ -20,8 +20,9 @@ from PIL import Image
 
 import jaxisp
 from benchmarks import accelerator_report, report, stages_report, training
-from experiments import evaluation, gallery, raw_noise, readme_table, real_data, real_gap_tables
+from experiments import gallery, raw_noise, readme_table, real_data, real_gap_tables
 from experiments.denoisers import report as denoisers
+from experiments.evaluation import page as evaluation
 from experiments.fit_phones import __main__ as fit_phones
 from jaxisp.gap import EFFECTS
 from jaxisp.recipes import RECIPES, any_phase, find_recipe

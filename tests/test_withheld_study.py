@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from experiments import null_drops
-from experiments.evaluation import collect, located, slim, targets
+from experiments.evaluation.bodies import targets
+from experiments.evaluation.kept import collect, located, slim
 from experiments.withheld import effects
 from experiments.withheld.camera import KINDS
 from experiments.withheld.study import (
