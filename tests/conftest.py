@@ -22,7 +22,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers use the cores: threads of BLAS wait, and busily
     one_blas_thread()
 
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.cache` has it
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as `jaxisp.process.environment` has it
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept_programs())  # xdist's workers inherit it
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # a plain call compiles each operation

@@ -10,6 +10,8 @@ import platform
 import warnings
 from pathlib import Path
 
+from jaxisp.process.environment import no_false_errors
+
 SWITCH = "JAXISP_CACHE"
 """Environment variable: "off" keeps nothing, a path is kept in instead of the user's cache folder."""
 SHORTEST = 0.2
@@ -51,8 +53,7 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
         >>> folder is None or folder.is_dir()
         True
     """
-    # XLA reports the features of each program that it loads as errors, which they are not
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    no_false_errors()
     import jax
 
     # a process that was killed while it wrote one leaves it cut short: it is compiled again; as all are where

@@ -7,6 +7,7 @@ import sys
 from jaxisp.errors import InputError, one_line
 
 _BLAS = "OPENBLAS_NUM_THREADS"
+_LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
 _FLAGS = "XLA_FLAGS"
 _READ_FLAGS = "from jaxlib import xla_client; print('here', flush=True); xla_client.CompileOptions()"
 _LONGEST = 60
@@ -23,6 +24,15 @@ def one_blas_thread() -> None:
     os.environ.setdefault(_BLAS, "1")
 
 
+def no_false_errors() -> None:
+    """Keep XLA's log to what ends the process, unless the variable says otherwise.
+
+    Of each kept program that it loads it reports features of the processor as errors, which they are not.
+    Called before JAX is imported: it reads the variable then.
+    """
+    os.environ.setdefault(_LOG_LEVEL, "3")
+
+
 def check_environment() -> None:
     """Import JAX. Called once, before a command computes.
 
@@ -30,6 +40,7 @@ def check_environment() -> None:
         InputError: JAX or XLA refuses what one of its environment variables says.
     """
     _check_flags()
+    no_false_errors()
     try:
         import jax  # noqa: F401
     except ValueError as error:  # of its settings: it names the variable

@@ -128,3 +128,23 @@ def test_a_command_multiplies_on_one_thread_unless_told_otherwise(own, used):
     rest = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=rest | own)
     assert done.stdout.split()[-1] == used, done.stderr
+
+
+def test_xlas_log_is_set_before_jax_reads_it():
+    """A program that a command kept is loaded without lines that speak of errors and are none."""
+    watch = (
+        "import os, sys\n"
+        "class Watch:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'jax': print(os.environ.get('TF_CPP_MIN_LOG_LEVEL'), file=sys.stderr)\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        "sys.argv = ['jaxisp', 'recipes']\n"
+        "from jaxisp.cli import main\n"
+        "main()\n"
+    )
+    own = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}
+    for given, told in ({}, "3"), ({"TF_CPP_MIN_LOG_LEVEL": "1"}, "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", watch], capture_output=True, text=True, env={**own, **given}, timeout=60
+        )
+        assert done.stderr == f"{told}\n"
