@@ -18,6 +18,7 @@ import numpy as np
 from experiments.denoisers.training import TEST_PICTURES
 from jaxisp.cli.devices import use_cores
 from jaxisp.data import downsample_linear
+from jaxisp.data.clean import SOFTNESS
 from jaxisp.data.procedural import drawn
 from jaxisp.errors import InputError
 from jaxisp.io import read_image, write_png
@@ -32,12 +33,18 @@ from jaxisp.recipe import Recipe
 from jaxisp.recipes import any_camera, mix
 from jaxisp.stages.noise import GaussianNoise
 from jaxisp.train import TrainConfig, load_denoiser, train
+from jaxisp.train.checkpoints import Checkpoints
+from jaxisp.train.folder import load_settings, settings_digest
 
 FREE = ("photos", "kodak")
 """Folders of DATA/clean whose licences allow all uses; that of cbsd68 does not."""
 FACTORS, LARGE = (2, 3), 1400
 """By which small photographs and those of at least so many px are made smaller: their own noise and
 compression are to be below a step of 8 bits."""
+SOFT = {"": SOFTNESS, "sharp_": 0.0}
+"""Standard deviation of the blur after that [px], by what the files' names begin with: as soft as a lens and
+a sensor make pictures, and as sharp as pictures that somebody made smaller. Without the second a network
+takes the finest detail of such pictures for noise."""
 SIDE = 256
 """Of the tiles that photographs are cut into [px]: small, so that most patches are of photographs."""
 DRAWN = {"leaves": 100, "text": 18, "stripes": 14, "gradients": 24}
@@ -89,9 +96,10 @@ def _pictures(data: Path, photos: list[Path]) -> Iterator[tuple[str, np.ndarray]
             print(error)
             continue
         factor = FACTORS[min(picture.shape[:2]) >= LARGE]
-        small = downsample_linear(picture, factor)
-        print(f"{path.name}: 1/{factor}, {small.shape[1]}x{small.shape[0]}", flush=True)
-        yield path.stem, small
+        for begins, softness in SOFT.items():
+            small = downsample_linear(picture, factor, softness)
+            print(f"{begins}{path.name}: 1/{factor}, {small.shape[1]}x{small.shape[0]}", flush=True)
+            yield begins + path.stem, small
 
 
 def _tiles(picture: np.ndarray) -> Iterator[np.ndarray]:
@@ -110,9 +118,12 @@ def export(run: Path, path: Path) -> None:
     """The averaged weights of a run's last checkpoint, and how many patches they have seen."""
     denoiser, config = load_denoiser(run, "last")
     before = read_arrays(config.start)[1].get("patches", 0) if config.start else 0
+    kept = Checkpoints(run, settings_digest(*load_settings(run)), reading=True)
+    steps = max(kept.steps())  # a run may be exported before its end
+    kept.close()
     save_network(
         path, denoiser.model, config.model, config.model_options, light=config.light, recipe=config.recipe,
-        patches=before + config.steps * config.batch,
+        patches=before + steps * config.batch,
     )  # fmt: skip
 
 

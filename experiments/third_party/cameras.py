@@ -71,25 +71,28 @@ def frames(data: Path, camera: str, half: str, count: int, size: int) -> Iterato
     """The RAW frames of a camera; the halves share no photograph and no tile."""
     if camera in SENSORS:
         for place in scenes.chosen(data, half, camera, count):
-            yield _exposed(data, camera, scenes.light(place, size), f"{place[0].stem} {place[1]}")
+            light, scene = scenes.light(place, size), f"{place[0].stem} {place[1]}"
+            yield exposed(data, camera, SENSORS[camera], light, scene)
         return
     whole = _REAL[camera](data)
     for top, left in _tiles(whole, half, count, size):
         yield dataclasses.replace(whole, mosaic=whole.mosaic[top : top + size, left : left + size])
 
 
-def _exposed(data: Path, camera: str, light: np.ndarray, scene: str) -> Frame:
+def exposed(
+    data: Path, camera: str, sensor: Sensor, light: np.ndarray, scene: str, *, noisy: bool = True
+) -> Frame:
     """Photons counted by a sensor: the published matrix undone, a mosaic, shot and read noise, 12 bits."""
-    sensor = SENSORS[camera]
     matrix, gains = tuning(data, sensor)
     seen = np.clip(light @ np.linalg.inv(matrix).T / gains, 0, None)
     y, x = np.mgrid[: light.shape[0], : light.shape[1]]
     channel = np.array(["RGB".index(c) for c in sensor.cfa]).reshape(2, 2)[y % 2, x % 2]
     mosaic = sensor.exposure * np.take_along_axis(seen, channel[..., None], 2)[..., 0]
-    shot, read = noise(data, sensor)
-    rng = np.random.default_rng(order(camera, scene))
-    noisy = mosaic + np.sqrt(shot * mosaic + read) * rng.standard_normal(mosaic.shape)
-    codes = np.rint(sensor.black + noisy * (_WHITE - sensor.black))
+    if noisy:
+        shot, read = noise(data, sensor)
+        rng = np.random.default_rng(order(camera, scene))
+        mosaic = mosaic + np.sqrt(shot * mosaic + read) * rng.standard_normal(mosaic.shape)
+    codes = np.rint(sensor.black + mosaic * (_WHITE - sensor.black))
     about = _about(camera, sensor.cfa, sensor.black, matrix, gains) | {"iso": sensor.iso}
     return Frame(np.clip(codes, 0, _WHITE).astype(np.uint16), about)
 
