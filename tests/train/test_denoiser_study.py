@@ -9,6 +9,7 @@ from scipy import ndimage
 from experiments.denoisers import (
     ablations,
     demosaicking,
+    general,
     noise_models,
     noise_spectra,
     raw_input,
@@ -19,6 +20,7 @@ from experiments.denoisers import (
 from experiments.denoisers.ceilings import in_camera_sharpness, in_camera_tone
 from experiments.denoisers.pairs import as_pair
 from experiments.denoisers.training import FITTED, SCALES, Place, configuration
+from jaxisp.io import read_image, write_png
 from jaxisp.recipes import RECIPES
 from jaxisp.testing import smooth_image
 
@@ -127,3 +129,19 @@ def test_spectra_of_noise_that_is_known(rng):
     pair = as_pair("a", np.float32(ramp + noise), np.float32(ramp))
     flat = noise_spectra.figures(noise_spectra.flat_noise(pair))
     assert flat["std"] == pytest.approx(found["std"], rel=0.05)
+
+
+def test_clean_pictures_are_as_a_lens_makes_them_and_as_one_made_smaller(rng, tmp_path, monkeypatch):
+    folder = tmp_path / "clean" / "photos"
+    folder.mkdir(parents=True)
+    write_png(folder / "noise.png", rng.uniform(size=(600, 600, 3)))
+    monkeypatch.setattr(general, "DRAWN", {"text": 1})
+    general.clean(tmp_path, [], tmp_path / "made")
+    soft, sharp = (read_image(tmp_path / "made" / f"{begins}noise_000.png") for begins in general.SOFT)
+    assert soft.shape == sharp.shape == (300, 300, 3)
+
+    def fine(picture):
+        return np.square(picture[:, 1:] - picture[:, :-1]).mean()
+
+    assert fine(sharp) > 3 * fine(soft)
+    assert {path.name.split("_")[0] for path in (tmp_path / "made").iterdir()} >= {*general.DRAWN, "sharp"}
