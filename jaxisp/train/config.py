@@ -50,6 +50,7 @@ class TrainConfig:
         weight_decay: decoupled.
         clip_norm: gradients longer than this are shortened; 0: never.
         ema: decay of the averaged weights, which are those validated and used; 0: the weights themselves.
+            Fresh weights are soon forgotten; those of `start` keep their share, ema**steps.
         loss: "l1", "charbonnier" (1e-3), "smooth_l1" (beta 1), "l2", or "log_rms": of each patch's PSNR, so
             that patches with little noise count as much as the others.
         light: what the network sees, "encoded" sRGB or "linear" light.

@@ -87,6 +87,7 @@ def make_step(
     key: jax.Array,
     loss: str | Callable[[jax.Array], jax.Array] = "l1",
     ema: float | None = None,
+    forgets: bool = True,
     light: str = "encoded",
     target: str = "photo",
     mesh: Mesh | None = None,
@@ -100,8 +101,9 @@ def make_step(
         optimizer: an optax transformation.
         key: root of the degradation; sample i draws from `fold_in(key, i)`.
         loss: a name in `LOSSES`, or a function of the difference, whose mean is taken.
-        ema: decay of the averaged weights; None or 0 for none. It is smaller in the first steps,
-            `(1 + step) / (10 + step)`, so that the average forgets the initial weights.
+        ema: decay of the averaged weights; None or 0 for none.
+        forgets: whether the average forgets the initial weights, as fresh ones should be: the decay is then
+            smaller in the first steps, `(1 + step) / (10 + step)`. Trained ones keep their share of it.
         light: "encoded" or "linear": what the network sees and the loss is taken in.
         target: "photo", the clean picture, or "camera", what the recipe makes of it without noise.
         mesh: devices over which batches are spread (axis "batch"); state on it is replicated.
@@ -137,18 +139,18 @@ def make_step(
             updates, inner = optimizer.update(gradients, state.optimizer, state.params)
             params = optax.apply_updates(state.params, updates)
             norm = optax.tree.norm(gradients)
-        averaged = _average(state, (params, stats), ema)
+        averaged = _average(state, (params, stats), ema, forgets)
         new = State(state.step + 1, params, stats, inner, averaged)
         return new, {"loss": value, "grad_norm": norm}
 
     return step
 
 
-def _average(state: State, new: Any, decay: float | None) -> Any:
+def _average(state: State, new: Any, decay: float | None, forgets: bool) -> Any:
     if state.ema is None or not decay:
         return None
     steps = state.step.astype(jnp.float32)
-    share = jnp.minimum(decay, (1 + steps) / (10 + steps))
+    share = jnp.minimum(decay, (1 + steps) / (10 + steps)) if forgets else decay
     return jax.tree.map(lambda old, now: share * old + (1 - share) * now, state.ema, new)
 
 

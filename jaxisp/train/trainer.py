@@ -165,7 +165,8 @@ class _Run:
         self.lr = schedule(config, epoch_steps)
         self.step = make_step(
             self.model, recipe, optimizer, key=degrade_key(config.seed), loss=config.loss,
-            ema=config.ema, light=config.light, target=config.target, mesh=self.mesh,
+            ema=config.ema, forgets=not config.start, light=config.light, target=config.target,
+            mesh=self.mesh,
         )  # fmt: skip
         if lead:
             begin(run, config, recipe)  # not before its photographs were found, and before all other files

@@ -43,14 +43,15 @@ def test_a_step_is_the_loop_written_out(light):
     assert min(moved) > 0  # batch norms' running averages follow
 
 
-def test_the_average_follows_its_formula_and_new_values_do_not_retrace():
+@pytest.mark.parametrize("forgets", [True, False])
+def test_the_average_follows_its_formula_and_new_values_do_not_retrace(forgets):
     optimizer, model = optax.adam(1e-2), tiny()
-    step = make_step(model, RECIPES["awgn"](), optimizer, key=KEY, ema=0.2)
+    step = make_step(model, RECIPES["awgn"](), optimizer, key=KEY, ema=0.2, forgets=forgets)
     state = init_state(model, optimizer, ema=0.2)
     average = jax.tree.map(np.asarray, state.params)
     for i in range(3):
         state, _ = step(state, CLEAN, jnp.int32(8 * i))
-        share = min(0.2, (1 + i) / (10 + i))
+        share = min(0.2, (1 + i) / (10 + i)) if forgets else 0.2
         average = jax.tree.map(lambda a, p, s=share: s * a + (1 - s) * np.asarray(p), average, state.params)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), weights(state)[0], average)
     assert step._cache_size() == 1 and int(state.step) == 3
