@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.machine import machine
+from experiments.denoisers.classical import NETWORK
 from experiments.denoisers.gate import with_true_map
 from experiments.denoisers.pairs import as_pair
 from experiments.denoisers.report import save
@@ -39,7 +40,7 @@ SIDE, SCENES = 256, 6
 SOFT = {"as a lens": SOFTNESS, "made smaller": 0.0}
 """Standard deviation of the scenes' blur [px]."""
 KEY = "converters"
-TOLD = "the last one, told the true noise map"
+TOLD = f"{NETWORK}, told the true noise map"
 
 
 class Camera(NamedTuple):
@@ -63,6 +64,9 @@ CAMERAS = {
     "RawTherapee": Camera("rawtherapee", "ov5647", 100, {}),
     "darktable": Camera("darktable", "imx219", 200, {}),
     "LibRaw": Camera("libraw", "imx378", 400, {}),
+    "darktable, strong noise": Camera("darktable", "imx219", 1600, {}),
+    "LibRaw, strong noise": Camera("libraw", "imx378", 1600, {}),
+    "LibRaw, stronger noise": Camera("libraw", "imx477", 800, {}),
 }
 
 
@@ -87,17 +91,17 @@ def pairs(data: Path, work: Path, name: str, softness: float) -> list[AlignedPai
     return [as_pair(f"s{i}", *both) for i, both in enumerate(zip(*pictures, strict=True))]
 
 
-def measured(own: list[AlignedPair], networks: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(denoiser, figures) of classical ones and of networks, all blind; and of the last network told the true
-    noise map."""
+def measured(own: list[AlignedPair], networks: dict[str, Path]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(denoiser, figures) of classical ones and of networks, all blind; and of that of the package told the
+    true noise map."""
     yield "noisy input", evaluate_pairs(lambda noisy: noisy, own)
     for method in METHODS:
         if not Classical(method).missing():
             yield method, evaluate_pairs(Classical(method), own)
-    for path in networks:
+    for name, path in networks.items():
         model, about = read_network(path)
-        yield path.stem, evaluate_pairs(Denoiser(model, about["light"]), own)
-    yield TOLD, evaluate_pairs(_told(read_network(networks[-1])[0], own), own)
+        yield name, evaluate_pairs(Denoiser(model, about["light"]), own)
+    yield TOLD, evaluate_pairs(_told(read_network(networks[NETWORK])[0], own), own)
 
 
 def _told(model: Any, own: list[AlignedPair]) -> Callable[[np.ndarray], np.ndarray]:
@@ -115,17 +119,16 @@ def main() -> None:
     options = parser.parse_args()
     use_cores()
     keep_compiled()
+    networks = {path.stem: path for path in options.network}
     rows = []
     with beginning() as (shipped, _):
         for name in CAMERAS:
             for how, softness in SOFT.items():
                 own = pairs(options.data, options.work, name, softness)
-                for denoiser, result in measured(own, [*options.network, shipped]):
-                    kept = {"denoiser": denoiser, "camera": name, "scenes": how, "mean": result["mean"]}
-                    rows.append(kept)
-                    print(
-                        name, how, denoiser, {k: round(v, 3) for k, v in result["mean"].items()}, flush=True
-                    )
+                for denoiser, result in measured(own, networks | {NETWORK: shipped}):
+                    mean = {key: round(value, 4) for key, value in result["mean"].items()}
+                    rows.append({"denoiser": denoiser, "camera": name, "scenes": how, "mean": mean})
+                    print(name, how, denoiser, mean["psnr_fixed"], flush=True)
     save(options.out, KEY, {
         "title": "Cameras of other programs, before any real set",
         "command": "python -m experiments.denoisers.converters DATA --work RUNS --network BEFORE.npz",

@@ -135,18 +135,20 @@ def one_camera_text(table: Mapping[str, Any]) -> str:
 def converters_text(table: Mapping[str, Any]) -> str:
     """Denoisers on cameras of other programs."""
     rows = table["rows"]
-    cameras = _unique((row["camera"], row["scenes"]) for row in rows)
+    names = _unique(row["denoiser"] for row in rows)
     by_key = {(row["denoiser"], row["camera"], row["scenes"]): row["mean"] for row in rows}
     body = []
-    for name in _unique(row["denoiser"] for row in rows):
-        means = [by_key[name, *camera] for camera in cameras]
-        body.append([name, *(f"{mean['psnr_fixed']:.2f} / {mean['ssim_fixed']:.3f}" for mean in means)])
+    for camera, scenes in _unique((row["camera"], row["scenes"]) for row in rows):
+        means = [by_key[name, camera, scenes] for name in names]
+        cells = [f"{mean['psnr_fixed']:.2f} / {mean['ssim_fixed']:.3f}" for mean in means]
+        body.append([camera, scenes, *cells])
     return "\n".join([
         f"## {table['title']}", "",
         "PSNR [dB] / SSIM with a fixed tone, all blind, means of six scenes of 256x256. Scenes are as soft",
         "as a lens makes them, or as sharp as a picture that was made smaller. They are of photographs that",
-        "the network learned from, seen by other cameras: these rows chose the data, and prove nothing.", "",
-        _markdown(["denoiser", *(f"{camera}, {scenes}" for camera, scenes in cameras)], body), "",
+        "the network learned from, seen by other cameras: these rows chose the data, and prove nothing.",
+        "Other networks, by the names of their files, are what it was before, or is the mean of.", "",
+        _markdown(["camera", "scenes", *names], body), "",
         f"`{table['command']}`", "",
     ])  # fmt: skip
 

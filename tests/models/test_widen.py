@@ -1,13 +1,15 @@
-"""More channels for a network that is trained: `experiments.denoisers.widen`."""
+"""More channels for a network that is trained, and the mean of two: `widen` and `joined` of the experiments."""
 
 import jax
 import numpy as np
 import pytest
 from flax import nnx
 
+from experiments.denoisers.joined import joined
 from experiments.denoisers.widen import widened
 from jaxisp.errors import InputError
 from jaxisp.models import make_model
+from jaxisp.testing import smooth_image
 
 
 def levelnet(seed, *features):
@@ -38,3 +40,14 @@ def test_a_wider_network_gives_what_it_gave_with_fresh_weights_beside():
 def test_a_narrower_one_is_refused():
     with pytest.raises(InputError, match="fewer"):
         widened(trained(), levelnet(1, 4, 8, 12))
+
+
+def test_a_joined_network_has_the_mean_of_the_weights_and_another_ones_estimator():
+    before, after, other = (levelnet(seed, 8, 8, 16) for seed in range(3))
+    made = joined(before, after, 0.7, other)
+    kernels = [np.asarray(network.first.kernel.get_value()) for network in (before, after, made)]
+    np.testing.assert_allclose(kernels[2], 0.3 * kernels[0] + 0.7 * kernels[1], rtol=1e-6, atol=1e-7)
+    picture = smooth_image((32, 32, 3))[None]
+    np.testing.assert_array_equal(made.noise_map(picture), other.noise_map(picture))
+    with pytest.raises(InputError, match="no mean"):
+        joined(before, levelnet(0, 8, 16, 16), 0.5, other)
