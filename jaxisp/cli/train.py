@@ -30,7 +30,7 @@ _OPTIONS: tuple[tuple[str, Any, str], ...] = (
     ("--target", str, "what it gives: photo (default), or camera, what that would show without noise"),
     ("--drawn", int, "drawn pictures beside the photographs (default 0)"),
     ("--pool", int, "patches that are degraded once and used in each epoch (default 0: none)"),
-    ("--start", str, "weights to begin with: a file that jaxisp.models.save_network wrote"),
+    ("--start", str, "weights that training and its average begin with: a file that save_network wrote"),
     ("--log-every", positive, "steps between lines of the log (default 20)"),
     ("--checkpoint-every", positive, "steps between checkpoints with validation (default 500)"),
     ("--keep", positive, "checkpoints kept besides the best (default 2)"),

@@ -1,4 +1,4 @@
-"""More channels for a network that is trained, and the mean of two: `widen` and `joined` of the experiments."""
+"""More channels for a network that is trained, and the mean of two: the experiments `widen` and `joined`."""
 
 import jax
 import numpy as np
