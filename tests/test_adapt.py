@@ -334,3 +334,6 @@ def test_the_command_writes_a_recipe_and_trains_on_it(folders, tmp_path, capsys)
     assert len(made) == len(list((folders / "noisy").iterdir()))
     assert main([str(part) for part in call]) == 0  # finished, and its clean pictures are as they were
     assert sorted(path.name for path in (run / "clean").iterdir()) == made
+    call[call.index("--steps") + 1] = 3
+    assert main([str(part) for part in call]) == 2
+    assert "begun with 2 steps" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 python -m experiments.denoisers.joined BEFORE AFTER --share 0.7 --estimator FILE --out FILE
 
-AFTER was trained further from BEFORE, on other data. Their mean is better on both kinds of data than either.
+AFTER was trained further from BEFORE, on other data. Their mean keeps much of what either has learned.
 The estimator learns from errors of the map alone, so that one serves any network that is given a map.
 
 Source: Wortsman et al., "Robust fine-tuning of zero-shot models", 2022.

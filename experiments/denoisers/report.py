@@ -125,8 +125,8 @@ def one_camera_text(table: Mapping[str, Any]) -> str:
         "PSNR with a fixed tone / PSNR / SSIM of the paper's measure, on the pictures' middles. All begin",
         f"with the package's network; the two others are trained for {table['steps']} steps of 16 patches.",
         "Adapted saw the noisy pictures alone. Real pairs saw pairs of other scenes, in three folds.",
-        "PGap is the fixed-tone PSNR of real pairs less that of the network named. Noise: of luma and",
-        "chroma, of 255.", "",
+        "In adapted the weights at the start keep a half, in real pairs nothing. PGap is the fixed-tone PSNR",
+        "of real pairs less that of the network named. Noise: of luma and chroma, of 255.", "",
         _markdown(head, body), "",
         f"`{table['command']}`", "",
     ])  # fmt: skip
@@ -147,7 +147,8 @@ def converters_text(table: Mapping[str, Any]) -> str:
         "PSNR [dB] / SSIM with a fixed tone, all blind, means of six scenes of 256x256. Scenes are as soft",
         "as a lens makes them, or as sharp as a picture that was made smaller. They are of photographs that",
         "the network learned from, seen by other cameras: these rows chose the data, and prove nothing.",
-        "Other networks, by the names of their files, are what it was before, or is the mean of.", "",
+        "Other networks, by the names of their files, are what it was before, or is the mean of. Of the",
+        "classical ones BM3D and FFDNet were left out.", "",
         _markdown(["camera", "scenes", *names], body), "",
         f"`{table['command']}`", "",
     ])  # fmt: skip

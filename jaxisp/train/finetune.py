@@ -18,13 +18,14 @@ from jaxisp.models import read_network
 from jaxisp.models.apply import SHIPPED, Denoiser
 from jaxisp.recipes import RecipeLike, find_degradation
 from jaxisp.train.config import TrainConfig
+from jaxisp.train.folder import CONFIG, load_settings
 from jaxisp.train.trainer import TrainResult, train
 
 PATCH = 64
 """Side of the patches that are learned from [px]."""
 KEPT = 0.5
 """Share that the weights to begin with have in the averaged ones at the end. A few pictures teach some things
-wrongly: the mean loses less by these than the last weights, and gains as much (Wortsman et al., "Robust
+wrongly: the mean loses less by these than the last weights, and may gain less (Wortsman et al., "Robust
 fine-tuning of zero-shot models", 2022). Chosen on cameras of other programs."""
 
 
@@ -124,8 +125,13 @@ def fine_tune(
         tick: called with (done, total, text).
 
     Raises:
-        InputError: there are no weights to begin with, or `train` raises it.
+        InputError: there are no weights to begin with, the run was begun with another number of steps, or
+            `train` raises it.
     """
+    if (Path(run) / CONFIG).exists() and (begun := load_settings(run)[0].steps) != steps:
+        raise InputError(
+            f"{run}: was begun with {begun} steps, which decide its average, cannot go on with {steps}"
+        )
     found = find_degradation(recipe)
     name = str(recipe) if isinstance(recipe, str | Path) else found.name
     with beginning(start) as (begin, about):
